@@ -30,7 +30,7 @@ _OF_TRACKED = ("field", *RECORDED)
 
 
 TUNING = (271_828_180, 271_828_181, 271_828_182)
-"""Seeds of `qnerf decide --tune`, which judge nothing: of the search, and of its best trials. Nobody else types them."""
+"""Seeds of `qnerf decide --tune`, which judge nothing: of the search, and of its best trials. Nobody types them."""
 
 
 @dataclass(frozen=True)
