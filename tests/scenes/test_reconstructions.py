@@ -92,6 +92,30 @@ def test_a_reconstruction_is_the_scene_that_it_was_written_from(tmp_path: Path) 
         assert (small.cameras.width, small.cameras.height) == (8, 6)
 
 
+def test_sparse_points_are_read_with_the_views_that_see_them(tmp_path: Path) -> None:
+    track = [(2, 0), (7, 3)]  # an image and the number of a point in it
+    for write in (write_text, write_binary):
+        folder = write_scene(tmp_path / write.__name__, VIEWS, WIDTH, HEIGHT)
+        place = write(folder)
+        assert build("colmap", folder).points is None
+        refused("colmap", folder, "points3D", "No such file", points=True)
+        if write is write_text:
+            told = " ".join(f"{image} {point}" for image, point in track)
+            (place / "points3D.txt").write_text(f"# points\n4 0.1 -0.2 0.3 255 0 0 0.5 {told}\n9 0 0 0 0 0 0 0.5\n")
+        else:
+            one = struct.pack("<Q3d3BdQ4i", 4, 0.1, -0.2, 0.3, 255, 0, 0, 0.5, 2, *track[0], *track[1])
+            (place / "points3D.bin").write_bytes(struct.pack("<Q", 1) + one)
+        scene = build("colmap", folder, points=True)
+        assert scene.points is not None
+        expected = torch.tensor([0.1, -0.2, 0.3, 1.0], dtype=torch.float64) @ scene.transform[:3].T
+        assert [scene.names[int(view)] for view in scene.points[:, 0]] == ["images/001.png", "images/006.png"]
+        torch.testing.assert_close(scene.points[:, 1:], expected.expand(2, 3))
+        assert scene.fingerprint != build("colmap", folder).fingerprint
+        for file in place.glob("points3D*"):
+            file.write_bytes(file.read_bytes()[:-8].replace(b" 0.5 ", b" x "))
+        refused("colmap", folder, "damaged or cut short", points=True)
+
+
 def test_smaller_images_stand_in(posed: Path) -> None:
     expected = build("nerfstudio", posed)
     write_text(posed)

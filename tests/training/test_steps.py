@@ -91,8 +91,8 @@ def add_late_term(taken):
     """A loss that looks at the points with weight only, and starts at step 2."""
     terms = taken.loss_terms
 
-    def with_late_term(rendering, sampled, target):
-        found = terms(rendering, sampled, target)
+    def with_late_term(rendering, *given):
+        found = terms(rendering, *given)
         if taken.step >= 2:
             found["visible"] = rendering.weights[rendering.weights > 0.01].square().sum()
         return found

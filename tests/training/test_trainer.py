@@ -285,7 +285,7 @@ def test_activations_poses_and_terms_of_the_loss_are_looked_at_too(config):
     with pytest.raises(ValueError, match=r"SE3Refinement returned: .* \(256, 3, 4\), got float32 \(1, 3, 4\)"):
         one.take_step(measure=False)
     one = trainer(config("field=classical"))
-    one.loss_terms = lambda rendering, sampled, target: {"mse": (rendering.color - target).square()}
+    one.loss_terms = lambda rendering, sampled, target, distances: {"mse": (rendering.color - target).square()}
     with pytest.raises(ValueError, match=r"the loss term 'mse': expected a tensor \(\), got float32 \(256, 3\)"):
         one.take_step(measure=False)
 

@@ -113,6 +113,22 @@ class TrainingPixels:
             return self.views[rank], self.unmasked[numbers].long()
         return self.views[rank], numbers - torch.nn.functional.pad(self.ends, (1, 0))[rank]
 
+    def number(self, views: Tensor, pixels: Tensor) -> Tensor:
+        """The inverse of `locate`; -1 for pixels that are masked and for views that do not train."""
+        rank = torch.full((int(torch.cat([views, self.views]).max()) + 1,), -1)
+        rank[self.views] = torch.arange(len(self.views))
+        rank = rank[views]
+        starts = torch.nn.functional.pad(self.ends, (1, 0))
+        if self.unmasked is None:
+            return torch.where(rank < 0, -1, starts[rank] + pixels)
+        numbers = torch.full_like(pixels, -1)
+        for view in rank[rank >= 0].unique().tolist():
+            own = (rank == view).nonzero()[:, 0]
+            left = self.unmasked[starts[view] : starts[view + 1]].long()
+            places = starts[view] + torch.searchsorted(left, pixels[own])
+            numbers[own] = torch.where(torch.isin(pixels[own], left), places, -1)
+        return numbers
+
 
 def spread_rays(scene: Scene, count: int) -> Rays:
     """At most `count` training rays in float64, evenly spread over all pixels, from 0 to 1 world units."""
@@ -153,7 +169,7 @@ class RayTable:
         dtype: torch.dtype = torch.float32,
         validation_stride: int = 0,
     ) -> None:
-        cameras = scene.cameras
+        self.scene, cameras = scene, scene.cameras
         self.near, self.far = bounds_of(scene, near, far)
         self.validation_stride = validation_stride
         self.training = TrainingPixels(scene)
@@ -202,17 +218,24 @@ class RayTable:
         return rays_from(directions, poses, views, self.near, self.far)
 
     def batch(
-        self, rays: int, generator: torch.Generator, refinement: PoseRefinement | None = None
+        self,
+        rays: int,
+        generator: torch.Generator,
+        refinement: PoseRefinement | None = None,
+        first: Tensor | None = None,
     ) -> tuple[Rays, Tensor]:
         """Draws `rays` training pixels uniformly, with replacement: their rays and colours (R, 3 or 4) in [0, 1].
 
-        `generator` is on the CPU, so that all devices see the same batches.
+        `generator` is on the CPU, so that all devices see the same batches. `first`: numbers of training pixels that
+        take the places of the first ones.
         """
         stride, total = self.validation_stride, len(self.training)
         held_out = total // stride if stride else 0
         numbers = torch.randint(total - held_out, (rays,), generator=generator)
         if stride:  # skip every `stride`-th pixel
             numbers += numbers // (stride - 1)
+        if first is not None:
+            numbers[: len(first)] = first
         return self._training_rays(numbers, refinement)
 
     def validation(self, rays: int, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:

@@ -107,6 +107,7 @@ class Scene:
     headline: ClassVar[str] = "psnr"  # key of the metric that is shown during training
     mask: Tensor | None = None  # bool, of the images' shape without channels: False is neither trained on nor measured
     masks: int = 0  # views that have a mask
+    points: Tensor | None = None  # (P, 4) float64: a view, and x y z of a sparse point that it sees, normalised world
     remarks: tuple[str, ...] = ()  # what the reader has to say: what it corrected, and what it did not read
 
     def __post_init__(self) -> None:
@@ -119,6 +120,8 @@ class Scene:
             require_tensor(f"{label}mask", self.mask, shape, torch.bool)
         if self.depth is not None:
             require_tensor(f"{label}depth", self.depth, shape, torch.float32, torch.float64)
+        if self.points is not None:
+            require_tensor(f"{label}points", self.points, ("P", 4), torch.float64)
         require_tensor(f"{label}transform", self.transform, (4, 4), torch.float64)
         if len(self.names) != views:
             raise ValueError(f"{label}expected a name for each of {views} views, got {len(self.names)}")

@@ -35,6 +35,7 @@ class PosedImage:
     lens: Mapping[str, Any]  # under the names of a transforms file: w h fl_x fl_y cx cy k1 ..., or camera_angle_x
     mask: Mask | None = None
     use: Literal["train", "eval", "unused"] | None = None  # None for all images: `split_views` decides
+    points: NDArray | None = None  # (N, 3) float64 sparse points that it sees, in the source's world; None: not read
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,12 @@ def load_scene(
     ]
     mask, mask_hashes = read_masks(folder, files, [image.mask for image in views], radii, sizes, downscale)
     contents = [
-        {"frame": index, "image": file.name, "content": content, "lens": lens} | ({"mask": black} if black else {})
-        for index, file, content, lens, black in zip(used, files, hashes, lenses, mask_hashes, strict=True)
+        {"frame": index, "image": file.name, "content": content, "lens": lens}
+        | ({"mask": black} if black else {})
+        | ({} if image.points is None else {"points": digest(image.points)})
+        for index, image, file, content, lens, black in zip(
+            used, views, files, hashes, lenses, mask_hashes, strict=True
+        )
     ]
     full = np.array([(file.width, file.height) for file in files])
     table[:, :4] = table[:, :4] / downscale if width is None else table[:, :4] * np.tile(np.array(sizes) / full, 2)
@@ -102,6 +107,7 @@ def load_scene(
         far=far,
         mask=None if mask is None else torch.from_numpy(mask),
         masks=sum(image.mask is not None for image in views),
+        points=sparse_points(views, transform),
         remarks=(
             *capture.remarks,
             *scaled(scales),
@@ -110,6 +116,18 @@ def load_scene(
             *unread(capture, posed, views),
         ),
     )
+
+
+def sparse_points(views: Sequence[PosedImage], transform: NDArray) -> torch.Tensor | None:
+    """`Scene.points` of the views, led to the normalised world; None if none were read."""
+    seen = [(view, image.points) for view, image in enumerate(views) if image.points is not None]
+    if not seen:
+        return None
+    rows = [
+        np.column_stack([np.full(len(points), view), points @ transform[:3, :3].T + transform[:3, 3]])
+        for view, points in seen
+    ]
+    return torch.from_numpy(np.concatenate(rows))
 
 
 def existing(capture: Capture, skip_missing: bool, eval_every: int | None) -> list[PosedImage]:

@@ -8,7 +8,7 @@ from qnerf.config.registry import Registry
 from qnerf.config.settings import Train
 from qnerf.model.model import Model
 from qnerf.rendering.samplers import SampledRays
-from qnerf.training.losses import distortion, interlevel, mse
+from qnerf.training.losses import distortion, interlevel, mse, sparse_depth
 from qnerf.types import Rendering
 
 
@@ -21,6 +21,7 @@ class Step(NamedTuple):
     model: Model
     number: int  # of the step, from 0
     logged: bool  # whether its metrics are
+    distances: Tensor | None  # (P,) along the first P rays to their sparse points, world units; None: not drawn
 
 
 LOSSES: "Registry[Tensor | None]" = Registry("train.losses")
@@ -57,6 +58,13 @@ def _interlevel(step: Step) -> Tensor | None:
     if not proposals or not (step.logged or any(weights.requires_grad for _, weights in proposals)):
         return None
     return interlevel(step.sampled.samples, step.rendering.weights, proposals)
+
+
+@LOSSES.register("sparse_depth")
+def _sparse_depth(step: Step) -> Tensor:
+    assert step.distances is not None
+    known = slice(len(step.distances))
+    return sparse_depth(step.sampled.samples.edges[known], step.rendering.weights[known], step.distances)
 
 
 @LOSSES.register("poses")

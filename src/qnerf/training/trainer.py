@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.config.tensors import require_tensor
 from qnerf.geometry.rays import RayTable
+from qnerf.geometry.sparse_depths import SparseDepths
 from qnerf.kernels.dispatch import is_plain
 from qnerf.kernels.jit import one_torch_thread
 from qnerf.model.model import Model
@@ -30,6 +31,8 @@ from qnerf.types import Rendering
 ADVICE = (
     "repeat the same command with numerics.finite_checks=true: it resumes from the last checkpoint and names the tensor"
 )
+
+SHARE_OF_POINTS = 8  # one ray in so many goes through a sparse point, if the loss takes those
 
 
 class Diverged(RuntimeError):
@@ -291,6 +294,8 @@ class Trainer(Loop):
         self.background = settings.render.background
         self.validation_rays = stop.rays
         self.weights = weights_of(settings.train)
+        takes_points = "sparse_depth" in self.weights
+        self.depths = SparseDepths(table.scene, table.training, table.validation_stride) if takes_points else None
 
     def prepare_step(self) -> None:
         """Updates the occupancy, if that is due."""
@@ -300,16 +305,22 @@ class Trainer(Loop):
 
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
         with self.watch.stage("sampling"):
-            rays, pixels = self.table.batch(self.train.rays, streams["pixels"], self.model.cameras)
+            numbers, distances = None, None
+            if self.depths:
+                numbers, distances = self.depths.draw(self.train.rays // SHARE_OF_POINTS, streams["pixels"])
+                distances = distances.to(self.table.poses)
+            rays, pixels = self.table.batch(self.train.rays, streams["pixels"], self.model.cameras, numbers)
         rendering, sampled, behind = self.model(
             rays, background=self.background, step=step, watch=self.watch, generator=streams["samples"]
         )
         with self.watch.stage("render"):
-            return self.loss_terms(rendering, sampled, composite(pixels, behind))
+            return self.loss_terms(rendering, sampled, composite(pixels, behind), distances)
 
-    def loss_terms(self, rendering: Rendering, sampled: SampledRays, target: Tensor) -> dict[str, Tensor]:
+    def loss_terms(
+        self, rendering: Rendering, sampled: SampledRays, target: Tensor, distances: Tensor | None = None
+    ) -> dict[str, Tensor]:
         """The weighted terms of `qnerf.training.terms`; their sum is minimised. `target` (R, 3): true colours."""
-        step = Step(rendering, sampled, target, self.model, self.step, self.watch.active)
+        step = Step(rendering, sampled, target, self.model, self.step, self.watch.active, distances)
         terms = {name: (weight, LOSSES.get(name)(step)) for name, weight in self.weights.items()}
         return {name: weight * term for name, (weight, term) in terms.items() if term is not None}
 

@@ -1,9 +1,10 @@
-"""A COLMAP reconstruction: cameras and images, binary or text, and the photographs."""
+"""A COLMAP reconstruction: cameras, images and sparse points, binary or text, and the photographs."""
 
 import math
 import posixpath
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -48,6 +49,7 @@ def colmap(
     width: Count | None = None,
     eval_every: Count | None = 8,
     skip_missing: bool = False,
+    points: bool = False,
 ) -> Scene:
     """Reads a COLMAP model, such as `path`/sparse/0, and the photographs that it poses, in the order of their names.
 
@@ -63,6 +65,7 @@ def colmap(
         width: that of images which are wider, in pixels; the area filter reduces them to it.
         eval_every: every so many views one is held out, the first view among them; None: 10 % of the views.
         skip_missing: leave out posed photographs that are missing.
+        points: also read the sparse points, which the term `sparse_depth` of the loss takes.
 
     Raises:
         ValueError: one line that names the mistake and the file or photograph.
@@ -73,19 +76,28 @@ def colmap(
         where = f"no COLMAP model{contents(folder.path, FORMATS['colmap'])}" if model is None else f"none in {model}"
         raise ValueError(f"scene.path={str(path)!r} has {where}; expected cameras.bin and images.bin, or .txt")
     content = read_model(place)
-    posed = sorted((posed_image(folder, images, frame) for frame in content["frames"]), key=lambda image: image.name)
+    seen = read_points(place) if points else None
+    posed = sorted(
+        (posed_image(folder, images, frame, seen) for frame in content["frames"]), key=lambda image: image.name
+    )
     top = place.relative_to(folder.path).parts[:1] or tuple(file.name for file in place.glob("*.*"))
     capture = Capture("colmap", folder, place, posed, remarks=[*others, *content["remarks"]], read=top)
     return load_scene(capture, downscale, width, skip_missing=skip_missing, eval_every=eval_every)
 
 
-def posed_image(folder: SceneFolder, images: str, frame: dict[str, Any]) -> PosedImage:
-    """A frame of `read_model` with its photograph, in the folder `images`, in the scene's folder, or in images_2 ..."""
+def posed_image(
+    folder: SceneFolder, images: str, frame: dict[str, Any], seen: dict[int, list[Sequence[float]]] | None
+) -> PosedImage:
+    """A frame of `read_model` with its photograph, in the folder `images`, in the scene's folder, or in images_2 ...
+
+    seen: see `read_points`.
+    """
     own, named = frame["file_path"], f"{images}/{frame['file_path']}"
     file = folder.image(named)
     name = named if file or folder.image(own) is None else own
     file = file or folder.image(own) or folder.image(posixpath.splitext(named)[0]) or folder.smaller(named)
-    return PosedImage(name, file, np.array(frame["transform_matrix"]), frame)
+    points = None if seen is None else np.array(seen.get(frame["number"], [])).reshape(-1, 3)
+    return PosedImage(name, file, np.array(frame["transform_matrix"]), frame, points=points)
 
 
 def model_ending(place: Path) -> str | None:
@@ -138,24 +150,48 @@ def read_model(place: Path) -> dict[str, Any]:
     ending = model_ending(place)
     cameras_file, images_file = place / f"cameras{ending}", place / f"images{ending}"
     remarks: list[str] = []
-    try:
+    with _damage_said(place):
         cameras = _unique(cameras_file, _cameras(cameras_file) if ending == ".bin" else _cameras_text(cameras_file))
         found = _images(images_file) if ending == ".bin" else _images_text(images_file, remarks)
-        images = list(_unique(images_file, found).values())
+        images = _unique(images_file, found)
+    if not images:
+        raise ValueError(f"{images_file}: no image is posed")
+    frames = []
+    for number, (name, pose, camera) in images.items():
+        if camera not in cameras:
+            raise ValueError(f"{images_file}: image {name!r} has camera {camera}, which {cameras_file.name} lacks")
+        matrix = camera_to_world(*pose)
+        frames.append({"file_path": name, "number": number, "transform_matrix": matrix, **cameras[camera]})
+    return {"frames": frames, "remarks": remarks}
+
+
+def read_points(place: Path) -> dict[int, list[Sequence[float]]]:
+    """Number of an image -> the sparse points that it sees, x y z in the model's world.
+
+    Raises:
+        ValueError: the file is damaged or missing.
+    """
+    ending = model_ending(place)
+    file = place / f"points3D{ending}"
+    seen: dict[int, list[Sequence[float]]] = {}
+    with _damage_said(place):
+        for point, images in _points(file) if ending == ".bin" else _points_text(file):
+            for image in images:
+                seen.setdefault(image, []).append(point)
+    return seen
+
+
+@contextmanager
+def _damage_said(place: Path) -> Iterator[None]:
+    """Makes whatever a damaged or missing file of the model raises one line."""
+    try:
+        yield
     except OSError as error:
         raise ValueError(f"{error.filename} cannot be read: {error.strerror}") from error
     except (struct.error, ValueError, IndexError, TypeError, OverflowError) as error:
         if str(error).startswith(str(place)):
             raise
         raise ValueError(f"{place}: the COLMAP model is damaged or cut short") from error
-    if not images:
-        raise ValueError(f"{images_file}: no image is posed")
-    frames = []
-    for name, pose, camera in images:
-        if camera not in cameras:
-            raise ValueError(f"{images_file}: image {name!r} has camera {camera}, which {cameras_file.name} lacks")
-        frames.append({"file_path": name, "transform_matrix": camera_to_world(*pose), **cameras[camera]})
-    return {"frames": frames, "remarks": remarks}
 
 
 def _unique(file: Path, entries: Iterator[tuple[int, Any]]) -> dict[int, Any]:
@@ -230,6 +266,22 @@ def _images(file: Path) -> Iterator[tuple[int, Posed]]:
             (points,) = _unpack(stream, "Q")
             stream.seek(POINT_BYTES * points, 1)
             yield number, (name.decode(), tuple(pose), camera)
+
+
+def _points(file: Path) -> Iterator[tuple[Sequence[float], Sequence[int]]]:
+    """Each point, and the numbers of the images that see it."""
+    with file.open("rb") as stream:
+        (count,) = _unpack(stream, "Q")
+        for _ in range(count):
+            _, x, y, z, *_, length = _unpack(stream, "Q3d3BdQ")
+            yield (x, y, z), _unpack(stream, "ii" * length)[::2]
+
+
+def _points_text(file: Path) -> Iterator[tuple[Sequence[float], Sequence[int]]]:
+    for line in _lines(file):
+        if line and line[0] != "#":
+            _, x, y, z, _, _, _, _, *track = line.split()
+            yield (float(x), float(y), float(z)), [int(image) for image in track[::2]]
 
 
 def _lines(file: Path) -> Iterator[str]:
