@@ -281,3 +281,5 @@ def test_circuit_without_features_needs_no_input() -> None:
 def test_trace_that_would_hold_constants_is_refused() -> None:
     with pytest.raises(ValueError, match=r"torch\.compile takes a QuantumLayer"):
         torch.jit.trace(QuantumLayer(MIXED), torch.rand(3, FEATURES))
+    with pytest.raises(ValueError, match=r"torch\.export and torch\.jit\.trace see no circuit"):
+        torch.export.export(QuantumLayer(MIXED), (torch.rand(3, FEATURES),))

@@ -176,6 +176,7 @@ def test_tools_of_pennylane_take_the_layer_as_they_take_a_torch_layer() -> None:
         lambda own: qml.workflow.construct_tape(own)(x).hash,
         lambda own: pickle.loads(pickle.dumps(own))(x).shape,
         lambda own: copy.deepcopy(own)(x).shape,
+        lambda own: torch.export.export(own, (x,)).module()(x).tolist(),
         lambda own: [len(axes) for axes in qml.draw_mpl(own)(x)],
     ]
     for tool in tools[:-1]:

@@ -147,14 +147,14 @@ class QuantumLayer(nn.Module):
             self._node = pennylane.make_node(self.circuit)
 
     def forward(self, x: Tensor | None = None) -> Tensor:
+        if torch.jit.is_tracing() or torch.compiler.is_exporting():
+            raise ValueError("torch.export and torch.jit.trace see no circuit; torch.compile takes a QuantumLayer")
         if torch.compiler.is_compiling():  # the engines are loops over NumPy arrays, which dynamo cannot follow
             out: Tensor = torch.compiler.disable(self._outputs)(x)
             return out
         return self._outputs(x)
 
     def _outputs(self, x: Tensor | None) -> Tensor:
-        if torch.jit.is_tracing():
-            raise ValueError("torch.jit.trace would keep the outputs of one input; torch.compile takes a QuantumLayer")
         features = self.circuit.features
         if x is None and not features:
             x = next(self.parameters(), torch.empty(0)).new_empty(0)

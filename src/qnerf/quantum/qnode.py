@@ -94,6 +94,8 @@ class _FastQnode(qml.QNode):
             return "another device than an exact simulator"
         if self.device.tracker.active:
             return "a Tracker counts its executions"
+        if torch.compiler.is_exporting():
+            return "torch.export sees operations of PyTorch only"
         if len(self.compile_pipeline):
             return f"transforms {self.compile_pipeline}"
         return "" if self.diff_method else "diff_method=None"
