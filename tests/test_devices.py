@@ -16,10 +16,12 @@ from tests.helpers.trainer import trainer
 def test_the_layer_and_a_training_step_stay_on_their_device() -> None:
     if not hasattr(backend_registration, "_setup_privateuseone_for_python_backend"):
         pytest.skip("this PyTorch cannot register a device from Python")
-    command = [sys.executable, "-m", "tests.helpers.fake_accelerator", "classical", "qboth"]
+    fields = ["field=classical", "field=qboth", "field=qcolor qiren.statistics=first"]
+    command = [sys.executable, "-m", "tests.helpers.fake_accelerator", *fields]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     lines = done.stdout.split("\n")
-    assert {"qiren 2 0.1", "lightcone", "classical 10", "qboth 10", "done"} <= set(lines), done.stderr[-2000:]
+    steps = {f"{options} 10" for options in fields}
+    assert {"qiren 2 0.1", "lightcone", *steps, "done"} <= set(lines), done.stderr[-2000:]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A device that only exists in PyTorch's bookkeeping: `python -m tests.helpers.fake_accelerator qboth`.
+"""A device that only exists in PyTorch's bookkeeping: `python -m tests.helpers.fake_accelerator field=qboth`.
 
 Every tensor on it has a shape, a dtype and a device and no values, and an operation that mixes it with the CPU is an
 error, as on a GPU. Whatever is not the CPU takes the same paths in this package as CUDA. PyTorch without CUDA cannot
@@ -84,18 +84,18 @@ def main() -> None:
         for method in ("lightcone", "statevector"):
             layer = moved(QuantumLayer(4, 1, method=method))
             check(method, [layer(torch.empty(5, 4, device=DEVICE))], layer.parameters())
-    for field in sys.argv[1:]:
-        step(field)
+    for options in sys.argv[1:]:
+        step(options)
     print("done")
 
 
-def step(field: str) -> None:
+def step(options: str) -> None:
     """A training step as the trainer takes it: its rays, its terms, backward, and a look of the occupancy grid.
 
     A number that is read, or a shape that depends on values, is an error of fake tensors.
     """
     config = composed(
-        "scene=poster", *TINY, f"field={field}", "qiren.qubits=3", "hash=C7", "train.rays=8", "device=cpu",
+        "scene=poster", *TINY, *options.split(), "qiren.qubits=3", "hash=C7", "train.rays=8", "device=cpu",
         "occupancy.every=1", "visibility.resolution=16",
     )  # fmt: skip
     trainer = built_trainer(config)
@@ -115,7 +115,7 @@ def step(field: str) -> None:
             model.field.mask.look(model.field, streams["samples"])
             terms = trainer.terms(streams, number)
             parameters = [p for p in model.parameters() if p.requires_grad]
-            check(f"{field} {number}", terms.values(), parameters)
+            check(f"{options} {number}", terms.values(), parameters)
 
 
 if __name__ == "__main__":

@@ -68,8 +68,8 @@ class Normalisation(nn.BatchNorm1d):
 
     @property
     def known(self) -> bool:
-        """Whether the statistics are fixed already."""
-        return self.statistics == "first" and bool(self.num_batches_tracked)
+        """Whether the statistics are fixed already. A GPU is not asked: the step would wait for it."""
+        return self.statistics == "first" and self.num_batches_tracked.is_cpu and bool(self.num_batches_tracked)
 
     def _forward_counted(self, x: Tensor, counted: Tensor) -> Tensor:
         """Training with the mean and the variance of the rows that count, without a wait for their number."""
@@ -84,8 +84,9 @@ class Normalisation(nn.BatchNorm1d):
     def _forward_first(self, x: Tensor) -> Tensor:
         if self.training and not self.known:
             mean, _, variance = _moments(x.detach(), self.counted)
-            self.running_mean.copy_(mean)
-            self.running_var.copy_(variance)
+            is_first = (self.num_batches_tracked == 0).to(x.dtype)
+            self.running_mean.lerp_(mean, is_first)
+            self.running_var.lerp_(variance, is_first)
             self.num_batches_tracked += 1
         scale = self.weight * (self.running_var + self.eps).rsqrt()
         return (x - self.running_mean) * scale + self.bias
