@@ -213,7 +213,9 @@ def failures(table: Table) -> str:
 
 
 def verdicts(table: Table, question: Question) -> str:
-    """What the index says of a question: verdicts of a few rows, counts of many, the best rows without a baseline."""
+    """What the index says of a question: verdicts of a few rows, of many their counts and which are better; without a
+    baseline the best row.
+    """
     text = table.text[kept_rows(table, question)]
     where = scene_key(question.rows)
     scene = text[where] if where else pd.Series("", index=text.index)
@@ -237,7 +239,9 @@ def verdicts(table: Table, question: Question) -> str:
     else:
         for where, own in kind[compared].groupby(scene[compared], sort=False):
             counts = own.value_counts()
-            said.append(f"{where}: " + ", ".join(f"{counts[one]} {one}" for one in KINDS if one in counts))
+            better = " and ".join(markdown_escape(one) for one in name[own.index[own == "better"]])
+            words = [f"{counts[one]} {one}" + f" ({better})" * (one == "better") for one in KINDS if one in counts]
+            said.append(f"{where}: " + ", ".join(words))
     return f"against {baseline}: " + "; ".join(said)
 
 
