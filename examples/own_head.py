@@ -1,7 +1,7 @@
 """A head of one's own, in a module of one's own: a network of products beside qnerf's heads.
 
     cd examples
-    python -m src.run plugins=[own_head] color=products density=mlp
+    qnerf run plugins=[own_head] color=products density=mlp
 
 The class is all: its keyword-only parameters are the options of `color.products` (or `density.products`), with the
 types and bounds of their annotations. `qnerf run` checks them, hashes them to the run's id and makes columns of them:

@@ -19,7 +19,6 @@ class Question:
     metric: what the tables compare and rank; within: its smallest difference that matters, where not the usual one.
     values: columns beside the metric; those that no run has are left out.
     best_of: the row key of which a page shows the best value alone, where rows are otherwise alike.
-    failures: whether to say which runs slipped or collapsed.
     units, hardware, paper: whether its page shows another table in place of the comparison: of dead units, of shots and
     noise, or the paper's table of that name.
     """
@@ -32,7 +31,6 @@ class Question:
     within: float | None = None
     values: Sequence[str] = ()
     best_of: str = ""
-    failures: bool = False
     units: bool = False
     hardware: bool = False
     paper: str = ""

@@ -25,21 +25,18 @@ INDEX = """\
 # Results
 
 One line a question: what its runs say, and the page with the table and the commands.
-`python -m docs.tools.results docs/results` writes all of these pages from the packed runs in `docs/results/`.
 
-- PSNR is the mean over the held-out views, 5 of `fox_64` and 22 of `poster`, at the end of training; ± is the standard
-  deviation over seeds. [analysis.md](analysis.md#verdicts) explains the verdicts.
-- A verdict without a scene holds on each scene of the page. Each row of a table without a column of seeds has every
-  seed that its page names.
+- PSNR is of the held-out views (5 of `fox_64`, 22 of `poster`) at the end of training. ± is the standard deviation over
+  seeds. Bold is the best of a column. [analysis.md](analysis.md#verdicts) explains the verdicts: one without a scene
+  holds on each scene of the page. A row without its number of seeds has all that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
 - **These runs were made with the learning rate that `train=quick` had at first**
   ([recipe.md](recipe.md#how-the-learning-rate-falls)), and are not judged anew yet. `train.schedule=exponential
-  train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them.
-- `density.mlp.init=torch` repeats runs from before `train=quick` gave MLPs He's initial weights.
-  `proposal.samples=[128,64]` repeats runs from before it halved the samples of the proposal networks, which changes no
-  PSNR.
-- The runs of a table were not all trained at the same time, so compare step times with `python -m benchmarks.training`
-  instead. {hardware}
+  train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them; from before `train=quick` gave MLPs He's
+  initial weights, `density.mlp.init=torch`; from before it halved the proposal networks' samples,
+  `proposal.samples=[128,64]`.
+- Compare times of a step by `python -m benchmarks.training`: runs of a table were not all trained at the same time.
+  {hardware}
 
 | question | what the runs say |
 |---|---|
@@ -94,7 +91,7 @@ def page(folder: Path, question: Question) -> tuple[str, str]:
     commands = (*question.commands, question.table_command(folder.name))
     parts = [f"# {question.title}", trained(frame)]
     parts += ["\n".join(f"    {line}" for line in commands), without_repetition(shown, frame).markdown()]
-    if question.failures and (failed := failures(stability(frame, question.rows))):
+    if question.metric == "psnr" and not question.best_of and (failed := failures(stability(frame, question.rows))):
         parts.append(failed)
     parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
     parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
@@ -153,7 +150,7 @@ def beside(tables: Sequence[Table], question: Question) -> Table:
         if name not in (f"difference, {own}", "verdict"):
             shown[name], bold[name] = first[name].str.partition(" ± ")[0], tables[0].bold[name]
     kept = kept_rows(tables[0], question)
-    notes = (f"Of rows that differ in {question.best_of} alone, the best one and the baseline.",) * (not kept.all())
+    notes = (f"Of several values of {question.best_of} the best one is shown, and the baseline's.",) * (not kept.all())
     return by_scene(Table("", shown[kept], tables[0].data, bold[kept], notes), question.rows)
 
 
@@ -168,9 +165,10 @@ def kept_rows(table: Table, question: Question) -> pd.Series:
 
 
 def against(text: pd.DataFrame, metric: str) -> list[str]:
-    """`-1.22 ± 0.67 worse *`, without what an undecided comparison rules out; empty in the baseline's row."""
+    """`-1.22 ± 0.67 worse *`, without what is ruled out and which runs slipped; empty in the baseline's row."""
     differences = text[f"difference, {metric}"]
-    kinds = text["verdict"].str.replace(r"undecided: .*? is ruled out", "undecided", regex=True)
+    said_elsewhere = r"(?<=undecided): .*? is ruled out|; (baseline )?slipped \d+ of \d+"
+    kinds = text["verdict"].str.replace(said_elsewhere, "", regex=True)
     return [f"{difference} {kind}".strip() for difference, kind in zip(differences, kinds, strict=True)]
 
 
@@ -203,18 +201,21 @@ def by_scene(table: Table, keys: Sequence[str]) -> Table:
 
 
 def failures(table: Table) -> str:
-    """The rows of the table of stability that slipped or collapsed, in a sentence; empty where none did."""
-    found = []
-    for row in table.text.to_dict("records"):
-        counts = [f"{name} {row[name]}" for name in ("slipped", "collapsed") if not row[name].startswith("0 ")]
-        if counts:
-            name = " ".join(str(row[key]) for key in table.data.index.names)
-            found.append(f"{markdown_escape(name)}: {' and '.join(counts)}")
-    return f"Runs that [failed](../../words.md#from-this-project): {'; '.join(found)}." if found else ""
+    """The rows of several seeds that slipped or collapsed, of the table of stability; empty where none did."""
+    found: dict[str, list[str]] = {}
+    for row in table.text[(table.data["n"] > 1).to_numpy()].to_dict("records"):
+        for kind in ("slipped", "collapsed"):
+            if not row[kind].startswith("0 "):
+                name = " ".join(str(row[key]) for key in table.data.index.names)
+                found.setdefault(f"{row[kind]} {kind}", []).append(markdown_escape(name))
+    said = "; ".join(f"{count}: {', '.join(names)}" for count, names in found.items())
+    return f"Runs that [failed](../../words.md#from-this-project). {said}." if found else ""
 
 
 def verdicts(table: Table, question: Question) -> str:
-    """What the index says of a question: verdicts of a few rows, counts of many, the best rows without a baseline."""
+    """What the index says of a question: verdicts of a few rows, of many their counts and which are better; without a
+    baseline the best row.
+    """
     text = table.text[kept_rows(table, question)]
     where = scene_key(question.rows)
     scene = text[where] if where else pd.Series("", index=text.index)
@@ -238,7 +239,9 @@ def verdicts(table: Table, question: Question) -> str:
     else:
         for where, own in kind[compared].groupby(scene[compared], sort=False):
             counts = own.value_counts()
-            said.append(f"{where}: " + ", ".join(f"{counts[one]} {one}" for one in KINDS if one in counts))
+            better = " and ".join(markdown_escape(one) for one in name[own.index[own == "better"]])
+            words = [f"{counts[one]} {one}" + f" ({better})" * (one == "better") for one in KINDS if one in counts]
+            said.append(f"{where}: " + ", ".join(words))
     return f"against {baseline}: " + "; ".join(said)
 
 

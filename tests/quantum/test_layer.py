@@ -27,7 +27,7 @@ def run_examples(page: str) -> tuple[str, dict[str, Any]]:
 def test_examples_of_the_page_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(ANSATZE, "_components", dict(ANSATZE._components))  # the page registers one
     page, names = run_examples("quantum.md")
-    assert names["y"].shape == (6144, 8)
+    assert names["values"].shape == (6144, 64)
     drawing = [line.rstrip() for line in capsys.readouterr().out.splitlines() if line[1:5] == ": ──"]
     assert "\n".join(drawing) in page
 

@@ -88,7 +88,7 @@ def _sampled_states(layer: QuantumLayer, count: int, x: Tensor | None, trained: 
 def expressibility(layer: QuantumLayer, *, pairs: int = 5000, x: Tensor | None = None, trained: bool = False) -> float:
     """How far the circuit's states are from uniformly random (Haar) ones: a divergence in nats; 0 is most expressive.
 
-    KL(P || P_Haar) of the fidelity F = |<psi|phi>|^2 of pairs of states (Eq. 7 and 8, arXiv:1905.10876), over a
+    KL(P || P_Haar) of the fidelity `F = |<psi|phi>|^2` of pairs of states (Eq. 7 and 8, arXiv:1905.10876), over a
     histogram of 75 bins. The bins have equal probability for Haar states, whose 1 - (1 - F)^(2^n - 1) is uniform; bins
     of equal width in F would hold all states of 8 wires in the first one. With finitely many pairs even Haar states
     have about 74 / (2 pairs). A circuit that does nothing has log 75 = 4.32, the largest value.

@@ -32,7 +32,7 @@ def without_effect(circuit: Circuit) -> tuple[str, ...]:
     """One line for each kind of mistake; what a program does not show is not said.
 
     - Weights and features that no output depends on. In QIREN these are angles of rotations about Z: the first phi of
-      each wire turns a phase of |0...0>, and the last omega comes before phases and a measurement of Z.
+      each wire turns a phase of `|0...0>`, and the last omega comes before phases and a measurement of Z.
     - Outputs that depend on nothing, and outputs that depend on no feature though others do.
     - Features whose rotations all commute with every trainable gate. A weight then only adds to the phases that the
       feature turns.
