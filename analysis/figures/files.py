@@ -67,6 +67,6 @@ def file_name(name: str) -> str:
 
 
 def title(file: str) -> str:
-    """The title of a figure from the name of a file that `draw` wrote, without its suffix; `file` for other names."""
+    """The title of a figure from the name of a file that `draw` wrote, without its suffix; else that name in words."""
     name = file if file in FIGURES else file.partition("_")[0]  # a figure of one scene is in <name>_<scene>
-    return FIGURES[name].title if name in FIGURES else file
+    return FIGURES[name].title if name in FIGURES else file.replace("_", " ")

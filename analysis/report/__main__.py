@@ -21,8 +21,7 @@ from .verdicts import verdicts
 
 DESCRIPTION = """\
 Writes one self-contained HTML page about a store of runs: a table of runs, interactive plots, curves, pictures and
-configurations side by side, tables with their LaTeX, the paper's numbers beside ours. It opens from disk in any browser
-and loads nothing from the network.
+configurations side by side, tables and figures. It opens from disk in any browser and loads nothing from the network.
 """
 EXAMPLES = """\
   {} runs --out report
