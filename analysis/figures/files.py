@@ -1,7 +1,7 @@
 """Figures by name, into files."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
     """
     make_folder(out)
     failed = []
+    left: dict[str, str] = {}
     for name in names or FIGURES:
         errors: dict[str, str] = {}
         scenes = FIGURES[name].scenes(name, frame)
@@ -42,8 +43,9 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
         if name in names and len(errors) == len(scenes):
             failed.append(next(iter(errors.values())))
         else:
-            for file, reason in errors.items():
-                print(f"{printable(file)}: not drawn: {printable(reason)}")
+            left |= errors
+    for reason, files in by_reason(left).items():
+        print(f"not drawn: {printable(files)}: {printable(reason)}")
     if failed:
         raise ValueError("; ".join(failed))
 
@@ -59,6 +61,14 @@ def collecting(errors: dict[str, str], name: str) -> Iterator[None]:
         errors[name] = str(error)
     except Exception as error:  # runs of another program may lack what a figure needs
         errors[name] = f"{type(error).__name__}: {one_line(error)}"
+
+
+def by_reason(errors: Mapping[str, str]) -> dict[str, str]:
+    """Reason -> the names of what could not be made for it, between commas."""
+    found: dict[str, list[str]] = {}
+    for name, reason in errors.items():
+        found.setdefault(reason, []).append(name)
+    return {reason: ", ".join(names) for reason, names in found.items()}
 
 
 def file_name(name: str) -> str:

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from ..figures import FIGURES
-from ..verdict import within_of
 from .figures import Drawn, draw
-from .tables import ShownTable, attempt, decisions, over_seeds, smallest_configurations
+from .tables import ShownTable, attempt, decisions, over_seeds
 
 SHOWN_ABOVE = ("loss", "forest")
 """Figures that the page's curves and verdicts show; `qnerf figures` writes them."""
@@ -26,19 +26,15 @@ class Part:
     absent: list[str] = field(default_factory=list)
 
 
-def parts(frame: pd.DataFrame, baseline: str | None) -> list[Part]:
-    """Tables and figures of the store, in the order of the page; baseline: None for the classical configuration."""
+def parts(frame: pd.DataFrame, **judged: Any) -> list[Part]:
+    """Tables and figures of the store, in the order of the page; judged: as of `over_seeds`."""
     configurations = Part("tables", "Tables", "Configurations over seeds")
-    small = f"The fewest parameters within {within_of('psnr'):g} dB of the best"
-    configurations.tables = [
-        attempt("Mean ± standard deviation over seeds", over_seeds, frame, baseline),
-        attempt(small, smallest_configurations, frame),
-    ]
+    configurations.tables = [attempt("Mean ± standard deviation over seeds", lambda: over_seeds(frame, **judged))]
     if (decided := decisions(Path(str(frame["path"].iloc[0])).parent)) is not None:
         configurations.tables.append(decided)
     more = Part("more", "Figures", "Figures")
     for name in [name for name in FIGURES if name not in SHOWN_ABOVE]:
-        drawn, absent = draw(name, frame, baseline)
+        drawn, absent = draw(name, frame, **judged)
         more.figures += drawn
         more.absent += absent
     return [configurations, more]

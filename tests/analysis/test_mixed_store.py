@@ -8,7 +8,7 @@ from qnerf.analysis.paper import PAPER_TABLES
 from qnerf.analysis.report import content, curves
 from qnerf.analysis.report.__main__ import main as report
 from qnerf.analysis.report.pictures import Pictures
-from qnerf.analysis.report.tables import over_seeds, smallest_configurations
+from qnerf.analysis.report.tables import over_seeds
 from qnerf.analysis.selection import row_keys
 from qnerf.analysis.serve.answers import Answers
 from qnerf.analysis.serve.store import WatchedStore
@@ -23,7 +23,6 @@ def test_every_table(mixed_store, capsys):
     over = over_seeds(frame)
     assert len(over.text) >= 4  # two fields and two heads of a photograph; distances have no PSNR
     assert not any("nan" in cell for column in over.text for cell in over.text[column].astype(str))
-    smallest_configurations(frame)
     for _, make in PAPER_TABLES.values():
         make(frame)
     rows = ",".join(row_keys(frame[frame["state"] == "finished"]))
