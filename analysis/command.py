@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import pandas as pd
 
 from qnerf.cli.errors import Parser, exit_code
+from qnerf.cli.numbers import number
 from qnerf.cli.text import console
 from qnerf.records.filters import HELP
 from qnerf.records.printable import printable
@@ -15,6 +16,12 @@ from .load import runs
 from .tables.table import Table
 from .tables.terminal import print_aligned
 
+COLUMNS = {
+    "metrics": "columns with results; the first is the one that is judged",
+    "settings": "columns that tell configurations apart",
+    "seed": "the column with the seed",
+    "scene": "the column with what is learnt, such as a dataset, over which nothing is averaged",
+}
 FORMATS: dict[str, Callable[[Table], str]] = {"markdown": Table.markdown, "csv": Table.csv, "latex": Table.latex}
 
 
@@ -35,9 +42,35 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--filter", metavar="TEXT", help=HELP)
 
 
+def add_columns(parser: argparse.ArgumentParser) -> None:
+    """What says what the columns are where STORE is a table of another program; `chosen` reads it."""
+    group = parser.add_argument_group(
+        "runs of other programs",
+        "STORE may be a .csv or .parquet file with a row a run (such as an export of W&B), a store of MLflow, or a "
+        "database of Trackio. What each column is, is guessed and said; these options say it instead.",
+    )
+    for name, what in COLUMNS.items():
+        several = name in ("metrics", "settings")
+        group.add_argument(
+            f"--{name}", type=(lambda text: text.split(",")) if several else str, help=what,
+            metavar="NAME,..." if several else "NAME",
+        )  # fmt: skip
+
+
 def add_baseline(parser: argparse.ArgumentParser, what: str) -> None:
     """`--baseline`, for what the help says."""
     parser.add_argument("--baseline", metavar="KEY=VALUE,...", help=what)
+
+
+def add_judged(parser: argparse.ArgumentParser) -> None:
+    """`--metric` and `--within`: what verdicts are about."""
+    parser.add_argument("--metric", help="what is judged, and ranks the runs; default: psnr where runs have it")
+    parser.add_argument(
+        "--within",
+        type=number(0, 1e9, above=True),
+        metavar="DELTA",
+        help="smallest difference that matters, in the metric's unit; default: 0.5 dB, for other metrics none",
+    )
 
 
 def add_format(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +84,7 @@ def add_format(parser: argparse.ArgumentParser) -> None:
 
 def chosen(options: argparse.Namespace) -> pd.DataFrame:
     """The store's runs that pass the filter."""
-    return runs(options.store, options.filter)
+    return runs(options.store, options.filter, **{name: getattr(options, name, None) for name in COLUMNS})
 
 
 def show(table: Table, form: str | None) -> None:

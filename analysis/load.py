@@ -13,7 +13,7 @@ from qnerf.records.deletion import holds_runs
 from qnerf.records.location import existing_store
 from qnerf.records.schemas import LABELS
 
-from . import packed
+from . import foreign, packed
 
 _HEADS = ("name", "mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NEEDED = (
@@ -23,12 +23,15 @@ NEEDED = (
 """Columns that tables and figures read; in runs that lack them they are empty."""
 
 
-def runs(store: str | Path, filter: str | Mapping[str, Any] | None = None) -> pd.DataFrame:
+def runs(
+    store: str | Path | pd.DataFrame, filter: str | Mapping[str, Any] | None = None, **columns: Any
+) -> pd.DataFrame:
     """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`.
 
     See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed.
 
-    store: a folder of runs, or a folder that `qnerf pack` made.
+    store: a folder of runs, or a folder that `qnerf pack` made; or runs of another program, with `columns` as
+    `foreign.read` takes them.
     filter: a text as `qnerf runs` takes it, "field=qcolor seed=0,1 psnr>25", or values by column,
     {"field": "qcolor", "seed": [0, 1]}; see `qnerf.records.filters`.
 
@@ -36,7 +39,11 @@ def runs(store: str | Path, filter: str | Mapping[str, Any] | None = None) -> pd
         ValueError: there are no runs, the filter matches none (the message lists the values there are), or it names an
             unknown column.
     """
-    if packed.is_packed(store):
+    if foreign.is_foreign(store):
+        frame = with_needed(foreign.read(store, **columns))
+    elif given := [name for name, value in columns.items() if value is not None]:
+        raise ValueError(f"{', '.join(given)}: a store of qnerf knows this; for tables of other programs alone")
+    elif packed.is_packed(store):
         if holds_runs(Path(store)):
             raise ValueError(f"{store}: holds runs and also packed tables; expected one of both in a folder")
         frame = with_needed(packed.load(store))

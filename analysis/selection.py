@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from qnerf.metrics import COLORLESS
+from qnerf.metrics import COLORLESS, quality_metrics
 from qnerf.records.filters import check_column
 from qnerf.records.schemas import LABELS, RECORDED, is_option
 
@@ -18,6 +18,8 @@ FIRST_KEYS = ("scene_name", "field", "density", "color")
 """Row keys that every table of the report has, where they act in a run."""
 
 _PROGRESS = ("seed", "step", "created", "heartbeat")  # numbers that measure nothing
+NAMED: set[str] = set()
+"""Settings of runs of other programs, whose names may be anything (`foreign.read`)."""
 
 QUANTUM = {"density": ("qdensity", "qboth"), "color": ("qcolor", "qboth"), "head": ("quantum",)}
 """Head -> the fields in which it is a circuit."""
@@ -103,7 +105,8 @@ def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def configuration(frame: pd.DataFrame) -> list[str]:
     """Columns of the flat configuration, without the seed: the field, and every option."""
-    return [name for name in (*_SCALARS, *filter(is_option, map(str, frame.columns))) if name in frame.columns]
+    options = [name for name in map(str, frame.columns) if is_option(name) or name in NAMED]
+    return list(dict.fromkeys(name for name in (*_SCALARS, *options) if name in frame.columns))
 
 
 def settings(runs: pd.DataFrame) -> pd.DataFrame:
@@ -114,6 +117,11 @@ def settings(runs: pd.DataFrame) -> pd.DataFrame:
     for name in texts.columns.intersection(_OF_TRACKED):
         texts[name] = texts[name].where(tracked, "")
     return texts.loc[:, texts.nunique() > 1]
+
+
+def main_metric(runs: pd.DataFrame) -> str:
+    """What verdicts are about unless a user says otherwise: PSNR, or the first quality that the runs have."""
+    return next((item.key for item in quality_metrics() if item.key in runs and runs[item.key].notna().any()), "psnr")
 
 
 def measured(runs: pd.DataFrame) -> list[str]:
@@ -148,7 +156,9 @@ def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, obj
     most = counts[counts["runs"] == scenes["runs"].transform("max")]
     differing = [key for key in rows if key not in SCENES and (scenes[key].nunique(dropna=False) > 1).any()]
     if most.empty or most["scene_name"].duplicated().any() or set(differing) - {"train.steps"}:
-        raise ValueError("expected one classical configuration in a scene: give --baseline, such as color=3x64")
+        key = next((key for key in rows if key not in SCENES), "color")
+        such = f"{key}={label(runs[key].iloc[0])}" if key in rows else "color=3x64"
+        raise ValueError(f"expected one classical configuration in a scene: give --baseline, such as {such}")
     return {"field": "classical"} | {key: list(most[key].unique()) for key in differing}
 
 

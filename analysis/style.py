@@ -33,7 +33,6 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8
 """The colours of Okabe and Ito, with brown and grey instead of yellow and black, which are hard to see on white or dark
 paper."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-LINES = ("-", "--", "-.", ":")
 SSIM = "cividis"
 FIELDS = {
     "classical": ("#E69F00", "s"),

@@ -75,7 +75,7 @@ def judge(
 ) -> Verdict:
     """The verdict on a difference with its standard error and degrees of freedom.
 
-    sign: -1 where a lower value is better.
+    sign: -1 where a lower value is better. within: of 0, nothing is equivalent.
 
     >>> judge(0.1, 0.1, 18, 0.5).kind, judge(1.2, 0.2, 18, 0.5).kind, judge(0.4, 0.2, 18, 0.5).excluded
     ('equivalent', 'better', 'a loss')
@@ -89,9 +89,9 @@ def judge(
         excluded = ("above 0" if difference > 0 else "below 0") if nonzero else ""
     elif nonzero:
         kind = "better" if sign * difference > 0 else "worse"
-    elif sign * difference - one > -within:
+    elif within and sign * difference - one > -within:
         excluded = "a loss"
-    elif sign * difference + one < within:
+    elif within and sign * difference + one < within:
         excluded = "a gain"
     return Verdict(kind, float(difference), float(two), float(error), float(freedom), within, excluded)
 
@@ -183,15 +183,17 @@ def over_scenes(verdicts: Sequence[Verdict], *, sign: int = 1) -> list[Verdict]:
     return [judge(differences.mean(), *one, verdicts[0].within, sign=sign) for one in found]
 
 
-def within_of(metric: str, asked: float | None = None) -> float:
-    """`asked`, or the metric's own smallest difference that matters.
+def within_of(metric: str, asked: float | None = None, otherwise: float | None = None) -> float:
+    """`asked`, or the metric's own smallest difference that matters, or `otherwise`: 0 says that none is known.
 
-    ValueError where neither is a positive number, or the metric is not measured on each view.
+    ValueError where neither is a positive number, or the metric is a size or a time.
     """
-    if metric_of(metric) not in quality_metrics():
+    if metric_of(metric).kind in ("size", "time"):
         known = ", ".join(item.key for item in quality_metrics())
         raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
     within = metric_of(metric).within if asked is None else asked
+    if within is None and otherwise is not None:
+        return otherwise
     if within is None:
         unit = metric_of(metric).unit or "its unit"
         raise ValueError(f"{metric}: give --within, the smallest difference that matters, in {unit}")
@@ -210,6 +212,12 @@ def evaluations(runs: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
         with contextlib.suppress(StoreError, KeyError):
             rows[path] = packed.views(path).set_index("image")[metric].to_dict()
     return pd.DataFrame.from_dict(rows, orient="index", dtype=float)
+
+
+def measured(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """`evaluations`; where no run has any, as in loops of a user's own, the metric of the whole run as one column."""
+    views = evaluations(runs, metric)
+    return runs.set_index("path")[[metric]] if views.empty else views
 
 
 def compare(
@@ -232,9 +240,9 @@ def compare(
 
 def method(metric: str, within: float) -> str:
     """What a table's verdicts are, for under it."""
-    band = f"{within:g} {metric_of(metric).unit}".rstrip()
+    band = f"the 90 % interval is within ± {within:g} {metric_of(metric).unit}".rstrip()
     return (
-        f"trimmed means of the runs over the same views (Yuen's t), ± of 95 %; equivalent: the 90 % interval is within "
-        f"± {band}; "
+        f"trimmed means of the runs over the same views (Yuen's t), ± of 95 %; equivalent: "
+        f"{band if within else 'give --within, the smallest difference that matters'}; "
         "* holds for all rows together; no registered study"
     )

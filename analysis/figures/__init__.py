@@ -6,9 +6,8 @@ function that computes what it draws, as a DataFrame. `qnerf figures STORE` draw
 
 from ..style import save
 from .budgets import psnr_vs_time, time_points
-from .capacity import capacity_points, capacity_vs_psnr, hash_configurations, hash_points
+from .capacity import capacity_points, capacity_vs_psnr
 from .catalogue import FIGURES, Entry
-from .colors import hsv_histograms, hsv_study
 from .curves import loss_curves, loss_points
 from .encodings import encoding_channels, encoding_slices
 from .forest import forest

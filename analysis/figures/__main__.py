@@ -17,6 +17,7 @@ DESCRIPTION = "Draws figures from a store of runs:\n\n" + "\n".join(
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = command.parser("figures", DESCRIPTION)
     command.add_runs(parser)
+    command.add_columns(parser)
     parser.add_argument("names", nargs="*", metavar="NAME", help="figures to draw (default: all that the runs allow)")
     parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: %(default)s)")
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
@@ -25,8 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser,
         "what forest compares with (default: the classical configuration) and stand_ins (default: the QIREN head)",
     )
-    parser.add_argument("--metric", help="what forest and stand_ins judge; default: psnr")
-    parser.add_argument("--within", type=float, metavar="DELTA", help="the smallest difference that matters to them")
+    command.add_judged(parser)
     options = parser.parse_intermixed_args(arguments)
     check_names(options.names)
     look = {name: getattr(options, name) for name in ("theme", "baseline", "metric", "within")}

@@ -1,4 +1,4 @@
-"""Quality against size: parameters of the heads, and the paper's hash tables C1 to C7."""
+"""Quality against size: parameters of the heads or of the encoder."""
 
 import numpy as np
 import pandas as pd
@@ -19,7 +19,6 @@ PARTS = {
     "density": ("params.density",),
     "color": ("params.color",),
     "encoder": ("params.encoder",),
-    "encoder and density": ("params.encoder", "params.density"),
 }
 
 
@@ -76,54 +75,10 @@ def _heads(table: pd.DataFrame, part: str) -> list[str]:
     return [head for head in differing if table[head].notna().any()]
 
 
-def hash_points(frame: pd.DataFrame) -> pd.DataFrame:
-    """`capacity_points` of runs with a hash encoding; `params` counts the table and the density head.
-
-    `line` names the configurations that differ in their hash table alone. Configurations without such a partner are
-    left out; raises ValueError if none remains.
-    """
-    runs = select(frame).runs
-    hashed = runs[runs["encoder"] == "hash"]
-    if hashed.empty:
-        raise ValueError(f"no run has encoder=hash; there are {', '.join(sorted(runs['encoder'].unique()))}")
-    table = points.families(capacity_points(hashed, "encoder and density"), hashed, "hash", ["encoder."])
-    if table.empty:
-        raise ValueError("no two configurations differ in their hash table alone; C1 to C7: hash=C1,C5,C7")
-    return table.assign(line=points.family_names(table.assign(hash=""), hashed, ["encoder."]))
-
-
-@style.styled
-def hash_configurations(frame: pd.DataFrame) -> Figure:
-    """PSNR of the hash tables C1 to C7 against parameters, coloured by SSIM: a panel per scene, a line per field."""
-    table = hash_points(frame)
-    names = points.scenes(table)
-    figure, axes = style.panels(len(names), 2.7, sharey=True)
-    norm = _ssim_norm(table)
-    drawn = []
-    lines = list(dict.fromkeys(table["line"]))
-    for ax, scene in zip(axes, names, strict=True):
-        ax.set(title=scene, xscale="log", xlabel="parameters of hash table\nand density head")
-        ax.margins(0.15)
-        for line, family in table[table["scene_name"] == scene].groupby("line"):
-            marker, dashes = (looks[lines.index(line) % len(looks)] for looks in (style.MARKERS, style.LINES))
-            family = family.sort_values("params")
-            ax.plot(family["params"], family["psnr"], dashes, color=style.ink(), alpha=0.4, lw=0.8)
-            ax.plot([], [], dashes, marker=marker, color=style.ink(), alpha=0.6, lw=0.8, label=line)
-            drawn += _marks(ax, family, norm, family["hash"], marker)
-        style.plain_ticks(ax)
-    axes[0].set_ylabel(metric_of("psnr").heading)
-    _ssim_bar(figure, axes, norm)
-    if len(lines) > 1:
-        style.legend(figure)
-    style.footnote(figure, points.seeds(table), select(frame).note)
-    write_names(figure, drawn)
-    return figure
-
-
-def _marks(ax: Axes, table: pd.DataFrame, norm: Normalize, names: pd.Series, marker: str = "o") -> list[Mark]:
+def _marks(ax: Axes, table: pd.DataFrame, norm: Normalize, names: pd.Series) -> list[Mark]:
     values = zip(table["params"], table["psnr"], table["psnr_std"], names, table["ssim"], strict=True)
     look = {"norm": norm, "cmap": style.SSIM, "edgecolors": style.ink(), "linewidths": 0.5}
-    return [Mark(ax, x, y, std, name).draw(marker, c=[ssim], **look) for x, y, std, name, ssim in values]
+    return [Mark(ax, x, y, std, name).draw("o", c=[ssim], **look) for x, y, std, name, ssim in values]
 
 
 def _ssim_norm(table: pd.DataFrame) -> Normalize:

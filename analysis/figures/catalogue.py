@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 
 from ..selection import by_scene
 from .budgets import psnr_vs_time
-from .capacity import capacity_vs_psnr, hash_configurations
-from .colors import hsv_study
+from .capacity import capacity_vs_psnr
 from .curves import loss_curves
 from .encodings import encoding_channels
 from .forest import forest
@@ -31,16 +30,12 @@ class Entry:
     function: takes the DataFrame of `load.runs`; or the folder of one run, if `probe` names the table that `qnerf
         probe` has to write for it.
     options: keyword arguments of `function`.
-    paper: whether the paper has such a figure.
-    one_scene: whether each scene gets a figure of its own, as with a probe.
     """
 
     title: str
     function: Callable[..., Figure]
     options: Mapping[str, str] = field(default_factory=dict)
     probe: str = ""
-    paper: bool = False
-    one_scene: bool = False
 
     def draw(self, runs: pd.DataFrame, *, theme: str = "light", **judged: Any) -> Figure:
         """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
@@ -54,7 +49,7 @@ class Entry:
 
     def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
         """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with the runs of a scene."""
-        if not (self.one_scene or self.probe) or runs["scene_name"].nunique() < 2:
+        if not self.probe or runs["scene_name"].nunique() < 2:
             return {name: runs}
         return {f"{name}_{scene}": own for scene, own in by_scene(runs).items()}
 
@@ -62,28 +57,20 @@ class Entry:
 _COLOR, _DENSITY = {"part": "color"}, {"part": "density"}
 
 FIGURES = {
-    "capacity": Entry("PSNR against the parameters of both heads, coloured by SSIM", capacity_vs_psnr, paper=True),
-    "capacity_color": Entry("PSNR against the parameters of the colour head", capacity_vs_psnr, _COLOR, paper=True),
-    "capacity_density": Entry(
-        "PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY, paper=True
-    ),
-    "depth": Entry("PSNR against the depth of the colour head", psnr_vs_depth, paper=True),
-    "width": Entry("PSNR against the width of the colour head", psnr_vs_width, paper=True),
-    "density_width": Entry(
-        "PSNR against the width of the density head", psnr_vs_width, {"head": "density"}, paper=True
-    ),
-    "hash": Entry("PSNR of the hash tables C1 to C7", hash_configurations, paper=True),
-    "loss": Entry("Loss in training and on held-out views", loss_curves, paper=True),
+    "capacity": Entry("PSNR against the parameters of both heads, coloured by SSIM", capacity_vs_psnr),
+    "capacity_color": Entry("PSNR against the parameters of the colour head", capacity_vs_psnr, _COLOR),
+    "capacity_density": Entry("PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY),
+    "depth": Entry("PSNR against the depth of the colour head", psnr_vs_depth),
+    "width": Entry("PSNR against the width of the colour head", psnr_vs_width),
+    "density_width": Entry("PSNR against the width of the density head", psnr_vs_width, {"head": "density"}),
+    "loss": Entry("Loss in training and on held-out views", loss_curves),
     "time": Entry("PSNR against the time of whole trainings", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
     "forest": Entry("Differences from the baseline, scene by scene", forest),
     "stand_ins": Entry("A circuit head and its stand-ins, with verdicts", stand_ins),
-    "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid, paper=True),
-    "hsv": Entry(
-        "Hue, saturation and value of truth, classical and quantum renderings", hsv_study, paper=True, one_scene=True
-    ),
-    "sampling": Entry("Sampling strategies along a ray", sampling_strategies, probe="rays", paper=True),
-    "encodings": Entry("First eight channels of each encoding", encoding_channels, probe="encoding", paper=True),
+    "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid),
+    "sampling": Entry("Sampling strategies along a ray", sampling_strategies, probe="rays"),
+    "encodings": Entry("First eight channels of each encoding", encoding_channels, probe="encoding"),
     "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, probe="spectrum"),
     "shots": Entry("PSNR against shots", psnr_vs_shots),
     "noise": Entry("PSNR against gate noise", psnr_vs_noise),

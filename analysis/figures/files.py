@@ -1,7 +1,7 @@
 """Figures by name, into files."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
     """
     make_folder(out)
     failed = []
+    left: dict[str, str] = {}
     for name in names or FIGURES:
         errors: dict[str, str] = {}
         scenes = FIGURES[name].scenes(name, frame)
@@ -42,8 +43,9 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
         if name in names and len(errors) == len(scenes):
             failed.append(next(iter(errors.values())))
         else:
-            for file, reason in errors.items():
-                print(f"{printable(file)}: not drawn: {printable(reason)}")
+            left |= errors
+    for reason, files in by_reason(left).items():
+        print(f"not drawn: {printable(files)}: {printable(reason)}")
     if failed:
         raise ValueError("; ".join(failed))
 
@@ -61,12 +63,20 @@ def collecting(errors: dict[str, str], name: str) -> Iterator[None]:
         errors[name] = f"{type(error).__name__}: {one_line(error)}"
 
 
+def by_reason(errors: Mapping[str, str]) -> dict[str, str]:
+    """Reason -> the names of what could not be made for it, between commas."""
+    found: dict[str, list[str]] = {}
+    for name, reason in errors.items():
+        found.setdefault(reason, []).append(name)
+    return {reason: ", ".join(names) for reason, names in found.items()}
+
+
 def file_name(name: str) -> str:
     """The name without characters that lead to another folder or that no file can have; a scene may have any name."""
     return "".join(c if c.isprintable() and c not in "/\\" else "_" for c in name)[:200]
 
 
 def title(file: str) -> str:
-    """The title of a figure from the name of a file that `draw` wrote, without its suffix; `file` for other names."""
+    """The title of a figure from the name of a file that `draw` wrote, without its suffix; else that name in words."""
     name = file if file in FIGURES else file.partition("_")[0]  # a figure of one scene is in <name>_<scene>
-    return FIGURES[name].title if name in FIGURES else file
+    return FIGURES[name].title if name in FIGURES else file.replace("_", " ")

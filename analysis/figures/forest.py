@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from qnerf.metrics import metric_of
 
 from .. import style
-from ..selection import classical_baseline, row_keys, select
+from ..selection import classical_baseline, main_metric, row_keys, select
 from ..tables.scenes import across_scenes
 from ..verdict import within_of
 
@@ -22,7 +22,7 @@ def forest(
     frame: pd.DataFrame,
     baseline: str | Mapping[str, object] | None = None,
     *,
-    metric: str = "psnr",
+    metric: str | None = None,
     within: float | None = None,
 ) -> Figure:
     """`across_scenes` of every setting that differs, by default against the classical configuration.
@@ -30,7 +30,7 @@ def forest(
     A mark is a configuration in a scene with its 95 % interval, a diamond a mean over scenes; the band is ± the
     smallest difference that matters. ValueError as of `across_scenes`, and where a scene has no classical baseline.
     """
-    runs = select(frame, metric).runs
+    runs = select(frame, metric := metric or main_metric(frame)).runs
     rows = row_keys(runs)
     table = across_scenes(frame, rows, baseline or classical_baseline(runs, rows), metric=metric, within=within)
     known = table.data[table.data["freedom"] > 0]
@@ -41,7 +41,7 @@ def forest(
     place = -np.arange(len(shown)) - 1.4 * group
     figure = style.new(style.PAGE, 1.0 + 0.2 * -place.min())
     ax = figure.subplots()
-    least = within_of(metric, within)
+    least = within_of(metric, within, 0)
     ax.axvspan(-least, least, color=style.PALETTE[0], alpha=0.12, lw=0)
     ax.axvline(0, color=style.ink(), lw=0.7)
     means = shown["seeds"].map(any).map({True: "o", False: "D"})

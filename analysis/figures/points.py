@@ -86,7 +86,7 @@ def names(
     for key in several.columns[several.any()]:
         told = several[key] & (own[key] != "")
         texts = texts.where(~told, texts + f", {key}=" + own[key])
-    return texts
+    return texts.str.removeprefix(", ")
 
 
 def marked(table: pd.DataFrame, runs: pd.DataFrame, heads: Sequence[str]) -> tuple[pd.Series, str]:

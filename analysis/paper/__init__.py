@@ -4,7 +4,6 @@ from .joined import SETTING
 from .tables import (
     PAPER_TABLES,
     hash_encoding_configurations,
-    hsv_tests,
     quantum_density_and_rgb,
     rgb_predictors,
 )

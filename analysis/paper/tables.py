@@ -6,13 +6,11 @@ shows both. Our runs are matched by architecture and count, never by the label.
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
 import pandas as pd
 
-from .. import hsv
-from ..selection import label, select
+from ..selection import label
 from ..tables.table import Table
-from .joined import SETTING, joined, printed, side_by_side
+from .joined import joined, printed, side_by_side
 
 
 def rgb_predictors(frame: pd.DataFrame) -> Table:
@@ -71,37 +69,6 @@ def hash_encoding_configurations(frame: pd.DataFrame) -> Table:
     return side_by_side(PAPER_TABLES["hash"][0], table, columns, (erratum, *notes))
 
 
-def hsv_tests(frame: pd.DataFrame) -> Table:
-    """Kolmogorov-Smirnov statistics of hue, saturation and value: the paper's, and ours for the same two fields."""
-    selection = select(frame)
-    runs = {kind: selection.runs.merge(pd.DataFrame([counts])) for kind, counts in HSV_FIELDS.items()}
-    data = printed("hsv")
-    if not all(map(len, runs.values())):
-        data = data.assign(mean=float("nan"), std=float("nan"), seeds=0)
-    else:
-        tests = hsv.tests(hsv.samples(runs))
-        ours = tests.groupby(["channel", "pair"], as_index=False)["ks"].agg(["mean", "std", "size"])
-        data = data.merge(ours.rename(columns={"size": "seeds"}), on=["channel", "pair"], how="left")
-    text = data[["channel", "pair"]].copy()
-    text["KS: paper"] = data["ks"].map("{:.4f}".format)
-    text["p: paper"] = data["p_below"].map("< {:.0e}".format)
-    text["KS: ours"] = [_ks(*row) for row in data[["mean", "std"]].itertuples(index=False)]
-    text["seeds"] = data["seeds"].map(str)
-    notes = (SETTING, "hue is treated as linear, as in the paper, though it is an angle")
-    return Table(PAPER_TABLES["hsv"][0], text, data, notes=(*notes, selection.note))
-
-
-def _ks(mean: float, std: float) -> str:
-    """`0.0342 ± 0.0011`; without the deviation for one seed, empty for none."""
-    return "" if np.isnan(mean) else f"{mean:.4f}" + ("" if np.isnan(std) else f" ± {std:.4f}")
-
-
-HSV_FIELDS = {
-    "classical": {"field": "classical", "encoder": "pe", "params.density": 1200, "params.color": 531},
-    "quantum": {"field": "qdensity", "encoder": "pe", "params.density": 1166, "params.color": 1859},
-}
-"""The two fields of the paper's HSV study: MLPs 4 x 12 and 3 x 12, and a 2L+2S density head with 3 x 32."""
-
 PAPER_TABLES: dict[str, tuple[str, Callable[[pd.DataFrame], Table]]] = {
     "rgb": (
         "Performance comparison between Quantum (QIREN) and Classical (MLP) RGB predictors in the Q-NeRF and Nerfacto "
@@ -113,7 +80,6 @@ PAPER_TABLES: dict[str, tuple[str, Callable[[pd.DataFrame], Table]]] = {
         quantum_density_and_rgb,
     ),
     "hash": ("Hash encoding configurations used in the ablation study", hash_encoding_configurations),
-    "hsv": ("HSV Output Analysis: Kolmogorov-Smirnov tests", hsv_tests),
 }
 """Name -> the paper's title, and the function that makes the table from the DataFrame of `load.runs`."""
 

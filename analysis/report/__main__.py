@@ -14,15 +14,13 @@ from qnerf.cli.numbers import count
 from qnerf.records.files import replace
 
 from .. import command, output
-from ..load import runs
 from . import content, curves, page, parts, pictures
 from .figures import draw
 from .verdicts import verdicts
 
 DESCRIPTION = """\
 Writes one self-contained HTML page about a store of runs: a table of runs, interactive plots, curves, pictures and
-configurations side by side, tables with their LaTeX, the paper's numbers beside ours. It opens from disk in any browser
-and loads nothing from the network.
+configurations side by side, tables and figures. It opens from disk in any browser and loads nothing from the network.
 """
 EXAMPLES = """\
   {} runs --out report
@@ -35,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser().parse_args(arguments)
     console = Console(stderr=True)
     with console.status("reading runs") as status:
-        frame = runs(options.store, options.filter)
+        frame = command.chosen(options)
         path = write(page.render(page_content(frame, options, status.update)), options.out)
     console.print(
         f"{path}: {len(frame):,} runs, {path.stat().st_size / 1e6:.1f} MB",
@@ -48,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def parser() -> argparse.ArgumentParser:
     made = command.parser("report", DESCRIPTION, EXAMPLES)
     command.add_runs(made)
+    command.add_columns(made)
     made.add_argument(
         "--out",
         default="report",
@@ -55,7 +54,8 @@ def parser() -> argparse.ArgumentParser:
         help="a folder, which gets index.html, or a .html file (default: report)",
     )
     made.add_argument("--title", default="Runs", help="the page's heading (default: Runs)")
-    command.add_baseline(made, "what the table and the forest plot compare with; default: the classical configuration")
+    command.add_baseline(made, "what verdicts compare with; default: the classical configuration")
+    command.add_judged(made)
     made.add_argument(
         "--max-images",
         type=count,
@@ -76,7 +76,8 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
     say("curves")
     logged = curves.gather(frame, order)
     say("tables and figures")
-    sections = parts.parts(frame, options.baseline)
+    judged = {name: getattr(options, name) for name in ("baseline", "metric", "within")}
+    sections = parts.parts(frame, **judged)
     return {
         "title": options.title,
         "store": options.store,
@@ -86,8 +87,8 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
         "states": list(frame["state"].fillna("unknown").value_counts().items()),
         "version": qnerf.__version__,
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-        "verdicts": verdicts(frame, options.baseline),
-        "forest": draw("forest", frame, options.baseline)[0],
+        "verdicts": verdicts(frame, **judged),
+        "forest": draw("forest", frame, **judged)[0],
         "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
         "note": drawn.note,
         "absent": {

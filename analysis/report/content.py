@@ -11,11 +11,11 @@ from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
 from .. import style
 from ..figures import points
 from ..load import with_needed
-from ..selection import configuration
+from ..selection import configuration, main_metric
 from . import curves, pictures
 from .columns import packed
 
-FIRST_COLUMNS = ("run_id", "psnr", "state")
+FIRST_COLUMNS = ("run_id", "state")
 LABEL_COLUMNS = ("scene_name", "field", "encoder", "density", "color", "seed")
 COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
 """The table of runs shows these to begin with, and the image metrics before the costs."""
@@ -47,7 +47,7 @@ def named(frame: pd.DataFrame) -> pd.DataFrame:
     named = frame.assign(configuration=None)
     readable = frame[frame["state"] != "damaged"]
     if len(readable):
-        table = points.points(readable, ["psnr"])
+        table = points.points(readable, [main_metric(frame)])
         names = {row: name for name, rows in zip(table["name"], table["runs"], strict=True) for row in rows}
         named["configuration"] = named.index.to_series().map(names).astype(object)
     return named
@@ -55,7 +55,8 @@ def named(frame: pd.DataFrame) -> pd.DataFrame:
 
 def order(frame: pd.DataFrame) -> list[int]:
     """Row numbers in the order in which runs get pictures and curves: one seed of every configuration first."""
-    ranked = frame.sort_values(["psnr", "run_id"], ascending=[False, True])
+    metric = main_metric(frame)
+    ranked = frame.sort_values([metric, "run_id"], ascending=[metric_of(metric).sign < 0, True])
     group = ranked["configuration"].fillna(ranked["run_id"])
     number = ranked.groupby([ranked["scene_name"].fillna(""), group]).cumcount()
     later = ~ranked["state"].eq("finished")
@@ -68,7 +69,9 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
     settings = [name for name in columns if name in (*_RUN, *configuration(frame))]
     finished = frame.loc[frame["state"] == "finished", "scene_name"]
     quality = [metric.key for metric in quality_metrics()]
-    usual = list(dict.fromkeys((*FIRST_COLUMNS, *LABEL_COLUMNS, *quality, *COST_COLUMNS)))
+    metric = main_metric(frame)
+    first, *others = FIRST_COLUMNS
+    usual = list(dict.fromkeys((first, metric, *others, *LABEL_COLUMNS, *quality, *COST_COLUMNS)))
     return {
         "total": len(frame),
         "columns": columns,
@@ -79,6 +82,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
         "quality": quality,
+        "metric": metric,
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "palette": style.PALETTE,

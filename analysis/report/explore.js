@@ -27,9 +27,9 @@ async function drawExploreNow() {
 
 function offerExplore() {
   const numbers = [...columns.keys()].filter(isNumeric).sort();
-  const usual = ["psnr", "ssim", "params.heads", "params.total", "step_ms", "train_s"].filter((name) => numbers.includes(name));
+  const usual = [DATA.metric, "ssim", "params.heads", "params.total", "step_ms", "train_s"].filter((name) => numbers.includes(name));
   const named = (names) => [...new Set(names)].map((name) => [name, heading(name)]);
-  options($("scatter-y"), named([...usual, ...numbers]), "psnr");
+  options($("scatter-y"), named([...usual, ...numbers]), DATA.metric);
   options($("scatter-x"), named([...usual, ...telling(), ...numbers]), "params.heads");
   options($("scatter-by"), [["", "one colour"], ...named(telling())], "field");
 }

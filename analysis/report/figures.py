@@ -2,6 +2,7 @@
 
 import base64
 from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -23,7 +24,7 @@ class Drawn:
     height: int
 
 
-def draw(name: str, frame: pd.DataFrame, baseline: str | None = None) -> tuple[list[Drawn], list[str]]:
+def draw(name: str, frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], list[str]]:
     """The figure of `FIGURES`, one a scene where it speaks of one scene, and why it cannot be drawn where it cannot."""
     entry, title = FIGURES[name], FIGURES[name].title
     drawn: list[Drawn] = []
@@ -32,7 +33,7 @@ def draw(name: str, frame: pd.DataFrame, baseline: str | None = None) -> tuple[l
     for runs in scenes.values():
         own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
         with collecting(absent, own):
-            drawn.append(embedded(own, entry.draw(runs, baseline=baseline)))
+            drawn.append(embedded(own, entry.draw(runs, **judged)))
     if absent and not drawn:
         absent = {title: next(iter(absent.values()))}
     return drawn, [f"{own}: {reason}" for own, reason in absent.items()]

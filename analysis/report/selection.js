@@ -65,7 +65,7 @@ function offerSelection() {
 
 function startSelection() {
   const [key, direction] = (address.get("sort") ?? "").split(" ");
-  selection.key = columns.has(key) ? key : columns.has("psnr") ? "psnr" : null;
+  selection.key = columns.has(key) ? key : columns.has(DATA.metric) ? DATA.metric : null;
   if (key) selection.descending = direction !== "up";
   offerSelection();
   keep("filter", "state", "scene");

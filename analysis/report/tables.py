@@ -11,8 +11,8 @@ import pandas as pd
 from ..decide.records import records
 from ..figures import points
 from ..figures.files import collecting
-from ..selection import classical_baseline, row_keys, select
-from ..tables import Table, resources, smallest
+from ..selection import classical_baseline, main_metric, row_keys, select
+from ..tables import Table, resources
 
 MAX_ERROR = 600  # characters of an error that may list every column
 MAX_ROWS = 30  # configurations of a scene in the ablation table
@@ -35,10 +35,16 @@ def attempt(title: str, make: Callable[..., Table], *arguments: Any) -> ShownTab
     return ShownTable(title, absent=f"{errors[title][:MAX_ERROR]}.")
 
 
-def over_seeds(frame: pd.DataFrame, baseline: str | Mapping[str, object] | None = None) -> Table:
+def over_seeds(
+    frame: pd.DataFrame,
+    baseline: str | Mapping[str, object] | None = None,
+    metric: str | None = None,
+    within: float | None = None,
+) -> Table:
     """`resources` of the best `MAX_ROWS` configurations of each scene, by default against the classical one if any."""
-    runs = select(frame).runs
-    best, not_shown = points.best(runs, ["psnr"], MAX_ROWS)
+    metric = metric or main_metric(frame)
+    runs = select(frame, metric).runs
+    best, not_shown = points.best(runs, [metric], MAX_ROWS)
     runs = runs.loc[[row for rows in best["runs"] for row in rows]]
     rows = row_keys(runs)
     with contextlib.suppress(ValueError):
@@ -46,7 +52,9 @@ def over_seeds(frame: pd.DataFrame, baseline: str | Mapping[str, object] | None 
     table = resources(
         pd.concat([runs, frame[frame["state"] != "finished"]]),
         rows,
+        metric=metric,
         baseline=baseline,
+        within=within,
         title="Configurations over seeds",
     )
     return replace(table, notes=(*table.notes, not_shown))
@@ -65,7 +73,3 @@ def decisions(store: str | Path) -> ShownTable | None:
     )
     title = "Decided by qnerf decide: at most 5 % wrong over all looks"
     return ShownTable(title, Table(title, text, found, notes=("spent: the error rate of the last look",)))
-
-
-def smallest_configurations(frame: pd.DataFrame) -> Table:
-    return smallest(frame, row_keys(select(frame).runs))

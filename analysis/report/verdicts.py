@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
+
 from ..figures.files import collecting
-from ..selection import classical_baseline, row_keys, select
+from ..selection import classical_baseline, main_metric, row_keys, select
 from ..tables import across_scenes
 
 MOST = 6  # configurations on a card
@@ -22,17 +24,23 @@ class Verdicts:
     absent: str = ""
 
 
-def verdicts(frame: pd.DataFrame, baseline: str | None = None) -> Verdicts:
+def verdicts(
+    frame: pd.DataFrame, baseline: str | None = None, metric: str | None = None, within: float | None = None
+) -> Verdicts:
     """`across_scenes` of every setting that differs, by default against the classical configuration."""
     errors: dict[str, str] = {}
     with collecting(errors, "verdicts"):
-        runs = select(frame).runs
+        metric = metric or main_metric(frame)
+        runs = select(frame, metric).runs
         rows = row_keys(runs)
-        table = across_scenes(runs, rows, baseline or classical_baseline(runs, rows))
+        reference = baseline or classical_baseline(runs, rows)
+        table = across_scenes(runs, rows, reference, metric=metric, within=within)
         cards: dict[str, list[tuple[str, ...]]] = defaultdict(list)
         for name, scene, difference, verdict, seeds in table.text.itertuples(index=False):
             if seeds:  # else a mean over scenes, which the forest plot shows
-                cards[scene].append((name, verdict, f"{difference} dB", f"{seeds} seeds"))
+                cards[scene].append(
+                    (name, verdict, f"{difference} {metric_of(metric).unit or metric}", f"{seeds} seeds")
+                )
         more = max(map(len, cards.values()), default=0) - MOST
         note = f"Of {more + MOST} configurations, the first {MOST} are here. " if more > 0 else ""
         return Verdicts({scene: own[:MOST] for scene, own in cards.items()}, f"{note}{table.notes[0]}.")

@@ -34,6 +34,7 @@ PORT = 8090
 def parser() -> argparse.ArgumentParser:
     made = command.parser("serve", DESCRIPTION, EXAMPLES)
     made.add_argument("store", nargs="?", default=DEFAULT, metavar="STORE", help="folder of runs (default: runs)")
+    command.add_columns(made)
     made.add_argument(
         "--port", type=whole(0, 65_535), default=PORT, metavar="N", help=f"default: {PORT}; 0: any free one"
     )
@@ -67,7 +68,8 @@ def make(options: argparse.Namespace) -> tuple["uvicorn.Server", Guard]:
     from .app import application
     from .prompt import Prompt
 
-    answers = Answers(WatchedStore(options.store), options.title)
+    columns = {name: getattr(options, name) for name in command.COLUMNS}
+    answers = Answers(WatchedStore(options.store, **columns), options.title)
     guard = Guard(options.host)
     config = uvicorn.Config(
         application(answers, guard), http=Prompt, log_level="error", access_log=False, ws="none",

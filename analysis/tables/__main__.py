@@ -9,6 +9,7 @@ from qnerf.records import filters
 
 from .. import command
 from ..paper import PAPER_TABLES
+from ..selection import main_metric, row_keys, select
 from .ablation import ablation
 from .resources import RATE, resources
 from .scenes import across_scenes
@@ -31,6 +32,7 @@ EXAMPLES = """\
   {} runs --rows scene_name,field --stability
   {} runs --rows scene_name,field --baseline field=classical --resources --rate 1000 --format latex
   {} runs --paper rgb --filter scene_name=poster
+  {} results.csv --baseline model=forest --within 0.01
 """
 
 OPTIONS = ("values", "metric", "baseline", "within", "size", "rate")
@@ -52,20 +54,20 @@ INSTEAD: dict[str, tuple[Callable[..., Table], str]] = {
 
 
 def words(text: str) -> list[str]:
-    return [filters.column(name) for name in text.split(",")]
+    return text.split(",")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = command.parser("tables", DESCRIPTION, EXAMPLES)
     command.add_runs(parser)
+    command.add_columns(parser)
     command.add_format(parser)
     parser.add_argument(
         "--rows",
-        default="scene_name,field,color",
         type=words,
         metavar="KEY,...",
         help="columns that distinguish the rows: any key of the configuration (color.qiren.spectral) or a short name "
-        "(field, density, color, hash, qiren, train); default: %(default)s",
+        "(field, density, color, hash, qiren, train); default: all that differ",
     )
     parser.add_argument(
         "--values",
@@ -73,18 +75,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         metavar="NAME,...",
         help=f"columns to show; default: the metrics that the runs have, of {', '.join(METRICS)}",
     )
-    parser.add_argument("--metric", help="column that ranks the runs; default: psnr")
     command.add_baseline(
         parser,
         "compare each row with this one: the difference with its interval, and the verdict: better, worse, "
         "equivalent or undecided",
     )
-    parser.add_argument(
-        "--within",
-        type=number(0, 1e9, above=True),
-        metavar="DELTA",
-        help="smallest difference that matters, in the metric's unit, for verdicts and --smallest; default: 0.5 dB",
-    )
+    command.add_judged(parser)
     parser.add_argument("--size", help="for --smallest: the column to minimise, such as step_ms; default: params.total")
     parser.add_argument(
         "--rate",
@@ -104,9 +100,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = {name: value for name in OPTIONS if (value := getattr(options, name)) is not None}
     if unused := [f"--{name}" for name in given if name not in known]:
         raise ValueError(f"{', '.join(unused)}: without effect on this table")
+    frame = command.chosen(options)
+    metric = options.metric or main_metric(frame)
+    if "metric" in known:
+        given["metric"] = metric
     if "rows" in known:
-        given["rows"] = options.rows
-    table = make(command.chosen(options), **given)
+        given["rows"] = list(map(filters.column, options.rows or row_keys(select(frame, metric).runs)))
+    if options.values:
+        given["values"] = list(map(filters.column, options.values))
+    table = make(frame, **given)
     command.show(table, options.format)
 
 

@@ -42,7 +42,7 @@ def ablation(
         if infinite := selection.left_out.get(f"infinite {metric}"):
             raise ValueError(f"{metric} of {infinite} runs is infinite: compare another metric, or leave them out")
         keys = table.index.to_frame(index=False)
-        verdicts, remarks = against(runs, rows, keys, baseline, metric, within_of(metric, within))
+        verdicts, remarks = against(runs, rows, keys, baseline, metric, within_of(metric, within, 0))
         notes += remarks
     unranked = incomparable_columns(runs, table.columns.get_level_values(0).unique())
     return compose(table, verdicts, title or f"{metric_of(metric).heading} over seeds", notes, metric, unranked)

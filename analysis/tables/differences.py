@@ -10,7 +10,7 @@ from qnerf.metrics import metric_of
 from qnerf.records import filters
 
 from ..selection import SCENES, label
-from ..verdict import Verdict, compare, evaluations, method
+from ..verdict import Verdict, compare, measured, method
 
 
 def against(
@@ -27,14 +27,9 @@ def against(
     """
     reference = references(keys, rows, baseline)
     unmatched = keys[[base is None for base in reference]]
-    views = evaluations(runs, metric)
-    numbers = runs.set_index("path").groupby(list(rows), dropna=False).ngroup()
-    groups = {number: views[views.index.map(numbers) == number] for number in range(len(keys))}
-    values = runs.set_index("path")[[metric]]
-    without = len(runs) - len(views)
-    for number in [number for number, group in groups.items() if group.empty]:  # tracked runs have no table of views
-        groups[number] = values[numbers == number]
-        without -= len(groups[number])
+    numbers = runs.groupby(list(rows), dropna=False).ngroup()
+    groups = {number: measured(runs[numbers == number], metric) for number in range(len(keys))}
+    without = len(runs) - sum(map(len, groups.values()))
     pairs = {number: base for number, base in enumerate(reference) if base not in (None, number)}
     found = {
         number: compare(groups[base], groups[number], within, metric=metric, comparisons=len(pairs))

@@ -33,7 +33,7 @@ def across_scenes(
         raise ValueError(f"rows: expected scene_name and a key that tells configurations apart, got {', '.join(rows)}")
     selection = select(frame, metric, rows)
     keys = selection.runs.groupby(list(rows), dropna=False).size().index.to_frame(index=False)
-    verdicts, notes = against(selection.runs, rows, keys, baseline, metric, within_of(metric, within))
+    verdicts, notes = against(selection.runs, rows, keys, baseline, metric, within_of(metric, within, 0))
     notes.append(selection.note)
     telling = [key for key in others if keys[key].nunique(dropna=False) > 1] or others
     lines: list[tuple[str, str, Verdict]] = []

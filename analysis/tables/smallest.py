@@ -9,7 +9,7 @@ from qnerf.metrics import metric_of
 
 from ..selection import SCENES, label, select
 from ..step_times import incomparable
-from ..verdict import compare, evaluations, method, within_of
+from ..verdict import compare, measured, method, within_of
 from .differences import interval
 from .seeds import aggregate, mean_and_spread
 from .table import Table
@@ -69,7 +69,7 @@ def _scenes(
             line |= {part: names[number], **numbers, f"{part}_size": sizes[number]}
         line |= {"difference": 0.0, "reach": 0.0, "verdict": "", "shown": ""}
         if best != smallest:
-            views = [evaluations(runs[runs["path"].map(group) == number], metric) for number in (best, smallest)]
+            views = [measured(runs[runs["path"].map(group) == number], metric) for number in (best, smallest)]
             found, _ = compare(views[0], views[1], within, metric=metric)
             line |= {"difference": found.difference, "reach": found.reach, "verdict": found.text(metric)}
             line["shown"] = interval(found, metric)

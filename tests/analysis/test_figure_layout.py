@@ -22,7 +22,6 @@ PACKS = {
     "capacity_density": "pe_widths",
     "depth": "rgb_table",
     "width": "rgb_table",
-    "hash": "hash_table",
     "speed": "rgb_table",
     "shots": "shots",
     "noise": "noise",

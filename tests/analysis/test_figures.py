@@ -137,19 +137,6 @@ def test_a_measure_that_nothing_differs_in_is_a_mistake(frame):
         figures.shape_points(frame, "height")
 
 
-def test_hash_tables_are_named_where_they_lie(frame):
-    ax = figures.hash_configurations(frame).axes[0]
-    own = frame[(frame["color.mlp.layers"] == 2) & (frame["color.mlp.width"] == 8) & (frame["field"] == "classical")]
-    groups = own.groupby("hash")
-    expected = {name: (size, groups["psnr"].mean()[name]) for name, size in {"C6": 262144, "C7": 65536}.items()}
-    density = own["params.density"].iloc[0]
-    assert {text.get_text(): text.xy for text in ax.texts} == {
-        name: (size + density, pytest.approx(psnr)) for name, (size, psnr) in expected.items()
-    }
-    with pytest.raises(ValueError, match="no two configurations differ in their hash table alone"):
-        figures.hash_configurations(frame[frame["hash"] == "C7"])
-
-
 def test_loss_curves_are_geometric_means_over_seeds(frame):
     own = frame[(frame["color.mlp.layers"] == 3) & (frame["field"] == "classical")]
     table = figures.loss_points(own)
@@ -261,20 +248,20 @@ def _sorted_settings(name):
 
 def test_saved_files_hold_text_and_never_change(frame, tmp_path):
     for name in ("first", "second"):
-        style.save(figures.hash_configurations(frame), tmp_path / name)
+        style.save(figures.capacity_vs_psnr(frame), tmp_path / name)
     for kind in style.FORMATS:
         first, second = ((tmp_path / f"{name}.{kind}").read_bytes() for name in ("first", "second"))
         assert first == second
-    assert ">C7</text>" in (tmp_path / "first.svg").read_text()
+    assert ">C7 2x8</text>" in (tmp_path / "first.svg").read_text()
     assert b"/FontFile2" in (tmp_path / "first.pdf").read_bytes()
 
 
 def test_themes_differ_in_ink_and_paper(frame):
-    light, dark = (figures.hash_configurations(frame, theme=theme) for theme in ("light", "dark"))
+    light, dark = (figures.capacity_vs_psnr(frame, theme=theme) for theme in ("light", "dark"))
     assert light.get_facecolor() != dark.get_facecolor()
     assert dark.axes[0].title.get_color() == dark.axes[0].texts[0].get_color() != light.axes[0].title.get_color()
     with pytest.raises(ValueError, match="unknown theme 'sepia'; known: light, dark"):
-        figures.hash_configurations(frame, theme="sepia")
+        figures.capacity_vs_psnr(frame, theme="sepia")
 
 
 def test_a_short_logarithmic_axis_has_ticks_at_equal_steps():

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from qnerf.analysis import figures, hsv
+from qnerf.analysis import figures
 from qnerf.analysis.figures.__main__ import main
-from qnerf.analysis.images import panels, pictures
+from qnerf.analysis.images import panels
 from qnerf.analysis.load import runs
 
 from qnerf.probes import PROBES, load, probe
@@ -57,29 +57,6 @@ def test_the_grid_shows_the_stored_panels_of_median_runs(frame):
     measured = pd.read_parquet(row["picture"].parents[1] / "eval.parquet").set_index("image")["psnr"]
     assert row["psnr"] == pytest.approx(measured[f"images/{row['image'].removeprefix('images-')}.png"])
     assert figure.axes[1].get_xlabel() == f"{row['psnr']:.2f} dB"
-
-
-def test_hsv_curves_are_densities_of_the_stored_pixels(frame):
-    samples = hsv.samples(figures.colors.chosen(frame))
-    table = figures.hsv_histograms(samples)
-    areas = ((table["right"] - table["left"]) * table["density"]).groupby([table["channel"], table["source"]]).sum()
-    np.testing.assert_allclose(areas, 1)
-    path = frame[frame["field"] == "classical"]["path"].iloc[0]
-    truth = np.concatenate([hsv.pixels(panels(file)["truth"])["value"] for file in pictures(path).values()])
-    own = table[(table["channel"] == "value") & (table["source"] == "truth")]
-    expected = np.histogram(truth, [*own["left"], own["right"].iloc[-1]], density=True)[0]
-    np.testing.assert_allclose(own["density"], expected)
-    lines = {line.get_label(): line for line in figures.hsv_study(frame).axes[2].lines}
-    np.testing.assert_allclose(lines["truth"].get_ydata(), expected)
-    assert set(lines) == {"truth", "classical", "quantum"}
-
-
-def test_hsv_of_several_scenes_or_of_one_kind_is_refused(frame):
-    other = frame.assign(scene_name=["hall", "yard"] * 2)
-    with pytest.raises(ValueError, match=r"2 scenes in one table \(hall, yard\)"):
-        figures.hsv_study(other)
-    with pytest.raises(ValueError, match="no finished quantum run to compare; fields: classical"):
-        figures.hsv_study(frame[frame["field"] == "classical"])
 
 
 def test_samples_and_weights_along_a_ray_are_the_probe_s(probed):
@@ -178,7 +155,7 @@ def test_a_figure_asked_for_by_name_is_an_error_where_it_cannot_be_drawn(store, 
     out = ["--out", str(tmp_path)]
     main([str(store), "capacity", *out, "--filter", "field=classical", "--formats", "png"])
     assert [path.name for path in tmp_path.iterdir()] == ["capacity.png"]
-    with pytest.raises(ValueError, match="no two configurations differ in their hash table alone"):
-        main([str(store), "hash", *out])
+    with pytest.raises(ValueError, match=r"no two configurations differ in train\.steps alone"):
+        main([str(store), "time", *out])
     with pytest.raises(ValueError, match="unknown figure 'hue'; known: capacity"):
         main([str(store), "hue", *out])

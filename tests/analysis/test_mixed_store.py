@@ -1,14 +1,14 @@
 """Fields, photographs, distances and tracked loops in one store go through every table, figure, page and command."""
 
 import pytest
-from qnerf.analysis import figures, hsv, load
+from qnerf.analysis import figures, load
 from qnerf.analysis.figures.__main__ import main as draw
 from qnerf.analysis.pack import main as pack
 from qnerf.analysis.paper import PAPER_TABLES
 from qnerf.analysis.report import content, curves
 from qnerf.analysis.report.__main__ import main as report
 from qnerf.analysis.report.pictures import Pictures
-from qnerf.analysis.report.tables import over_seeds, smallest_configurations
+from qnerf.analysis.report.tables import over_seeds
 from qnerf.analysis.selection import row_keys
 from qnerf.analysis.serve.answers import Answers
 from qnerf.analysis.serve.store import WatchedStore
@@ -23,7 +23,6 @@ def test_every_table(mixed_store, capsys):
     over = over_seeds(frame)
     assert len(over.text) >= 4  # two fields and two heads of a photograph; distances have no PSNR
     assert not any("nan" in cell for column in over.text for cell in over.text[column].astype(str))
-    smallest_configurations(frame)
     for _, make in PAPER_TABLES.values():
         make(frame)
     rows = ",".join(row_keys(frame[frame["state"] == "finished"]))
@@ -40,7 +39,7 @@ def test_every_figure(mixed_store, tmp_path, capsys):
     drawn = {path.stem for path in tmp_path.glob("*.png")}
     assert "Error" not in said.out
     assert {"capacity", "loss", "speed", "qualitative"} <= {name.split("_")[0] for name in drawn}, said
-    assert {"forest", "hsv_ring", "hsv_astronaut"} <= drawn
+    assert "forest" in drawn
     assert len(figures.capacity_points(load.runs(mixed_store))) == 4
     rungs, part = figures.stand_in_points(load.runs(mixed_store))
     assert (part, set(rungs["scene_name"])) == ("head", {"astronaut"})
@@ -57,11 +56,6 @@ def test_every_page(mixed_store, tmp_path):
     assert len(load.runs(tmp_path / "packed")) == len(load.runs(mixed_store))
     with pytest.raises(ValueError, match="curves are not packed"):
         draw([str(tmp_path / "packed"), "loss", "--out", str(tmp_path)])
-
-
-def test_colours_of_a_scene_without_a_circuit_field(mixed_store):
-    frame = load.runs(mixed_store, {"scene_name": "ring"})
-    assert len(hsv.samples(figures.colors.chosen(frame)))
 
 
 def test_tracked_runs_stand_beside_the_others(mixed_store, capsys):

@@ -1,13 +1,10 @@
-import numpy as np
 import pytest
-from qnerf.analysis import hsv
 from qnerf.analysis.load import runs
 from qnerf.analysis.paper import PAPER_TABLES, rgb_predictors
 from qnerf.analysis.paper.joined import printed
-from qnerf.analysis.paper.tables import HSV_FIELDS
 from qnerf.analysis.tables.__main__ import main
 
-from tests.helpers.packed_stores import picture, write_run
+from tests.helpers.packed_stores import write_run
 
 
 @pytest.fixture
@@ -79,17 +76,3 @@ def test_hash_tables_stand_beside_our_counts(store):
         "26.00 ± 1.41",
         "2",
     ]
-
-
-def test_the_hsv_study_is_ours_for_the_papers_fields(tmp_path):
-    random = np.random.default_rng(0)
-    for field, counts in zip(("classical", "qdensity"), HSV_FIELDS.values(), strict=True):
-        columns = {name: value for name, value in counts.items() if name != "field"}
-        views = {"v": picture(*random.integers(0, 256, (4, 9, 7, 3), dtype=np.uint8))}
-        write_run(tmp_path, field, columns=columns, pictures=views)
-    frame = runs(tmp_path)
-    table = PAPER_TABLES["hsv"][1](frame)
-    tests = hsv.tests(hsv.samples({kind: frame[frame["field"] == HSV_FIELDS[kind]["field"]] for kind in HSV_FIELDS}))
-    wanted = tests[(tests["channel"] == "hue") & (tests["pair"] == "truth - quantum")]["ks"].item()
-    row = table.text.set_index(["channel", "pair"]).loc[("hue", "truth - quantum")]
-    assert row.tolist() == ["0.0805", "< 1e-06", f"{wanted:.4f}", "1"]

@@ -176,7 +176,7 @@ def test_runs_that_did_not_finish_are_counted_and_not_averaged_in(html):
 def test_hostile_values_stay_inside_their_cells_and_their_json(frame, gathered_once):
     hostile = frame.assign(note=EVIL, run_id=EVIL, tags=[("<b>", EVIL)] * len(frame), **{EVIL: 1})
     table = tables.attempt(EVIL, lambda: tables_of_one(EVIL))
-    section = parts.Part("evil", EVIL, EVIL, EVIL, [table], absent=[EVIL])
+    section = parts.Part("evil", EVIL, EVIL, [table], absent=[EVIL])
     data = content.data(hostile, Pictures(), {})
     text = page.render(gathered_once | {"data": data, "parts": [section], "states": [(EVIL, 1)], "store": EVIL})
     found = Scripts(text)

@@ -36,7 +36,7 @@ from qnerf.search.history import History
 from qnerf.search.loop import NoObjective, search
 from qnerf.search.pruning import Judge
 from qnerf.search.space import Choices, Interval, Point, Space, overrides
-from qnerf.search.study import Options, Trial, best
+from qnerf.search.study import Options, Trial, best, importances
 from qnerf.training.forecast import announced
 
 FILE = "judge.json"
@@ -50,6 +50,7 @@ UNVALIDATED = (
 )
 OPTIONS: Mapping[str, Any] = {
     "objectives": Annotated[list[str], MinLen(1)],
+    "constraints": list[str],
     "n_trials": PositiveInt,
     "n_jobs": PositiveInt | None,
     "seeds": Annotated[list[Seed], MinLen(1)] | None,
@@ -149,7 +150,7 @@ class OptunaSweeper(Sweeper):
                     print(line, flush=True)
             self.jobs += len(jobs)
 
-        history = History(space, options["objectives"], store, ids, self._defaults(space))
+        history = History(space, options["objectives"], store, ids, self._defaults(space), options["constraints"])
         plan = Options(options["n_trials"], self._at_once(), options["sampler"], options["startup"], options["seed"])
         trials = search(history, plan, launch, sweep.stopping)
         for point, reason in history.rejected.items():
@@ -195,7 +196,7 @@ def size(space: Space) -> float:
 def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> None:
     """Prints the best trials, or the Pareto front of several objectives."""
     if len(objectives) == 1:
-        finished = [trial for trial in trials if trial.state == "finished"]
+        finished = [trial for trial in trials if trial.state == "finished" and trial.allowed]
         upwards = goals.direction(objectives[0]) == "maximize"
         listed = sorted(finished, key=lambda trial: trial.values[0], reverse=upwards)[:SHOWN]
         title = f"best {len(listed)} of {len(trials)} trials"
@@ -217,3 +218,7 @@ def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> No
     ]
     if rows:
         print_table(console(), columns, rows)
+    if violating := sum(not trial.allowed for trial in trials):
+        print(f"{violating} finished trials violate a constraint")
+    if shares := importances(space, objectives, trials):
+        print("what mattered: " + ", ".join(f"{option} {share:.0%}" for option, share in shares.items()))

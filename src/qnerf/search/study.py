@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import optuna
+from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.samplers import BaseSampler, GPSampler, RandomSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
@@ -40,6 +41,7 @@ class Trial:
 
     values: of each objective, the mean over the runs; empty unless finished. curve: step -> the judged metric of a
         pruned trial. runs: ids, one a seed. running: whether a process trains one of them. error: why it failed.
+        violations: constraint -> by how much a finished trial violates it; 0 or less where it does not.
     """
 
     point: Point
@@ -49,6 +51,12 @@ class Trial:
     curve: Mapping[int, float] = field(default_factory=dict)
     running: bool = False
     error: str = ""
+    violations: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def allowed(self) -> bool:
+        """Whether it violates no constraint."""
+        return all(amount <= 0 for amount in self.violations.values())
 
 
 @dataclass(frozen=True)
@@ -100,10 +108,22 @@ def rebuilt(
 
 
 def best(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> list[Trial]:
-    """The finished trials that no other beats in every objective: of one objective the best, of several the front."""
-    if not any(trial.state == "finished" for trial in trials):
+    """The finished trials that meet all constraints and that no other such trial beats in every objective: of one
+    objective the best, of several the front."""
+    if not any(trial.state == "finished" and trial.allowed for trial in trials):
         return []
     return [trials[frozen.number] for frozen in rebuilt(space, objectives, trials).best_trials]
+
+
+def importances(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> dict[str, float]:
+    """Option -> its share in what makes trials good (PED-ANOVA, arXiv:2304.10255), the largest first.
+
+    Empty for several objectives, for one option, and below 10 finished trials.
+    """
+    finished = [trial for trial in trials if trial.state == "finished"]
+    if len(objectives) > 1 or len(space) < 2 or len(finished) < 10:
+        return {}
+    return get_param_importances(rebuilt(space, objectives, finished), evaluator=PedAnovaImportanceEvaluator())
 
 
 def _frozen(space: Space, trial: Trial, one_objective: bool) -> FrozenTrial:
@@ -113,6 +133,7 @@ def _frozen(space: Space, trial: Trial, one_objective: bool) -> FrozenTrial:
         distributions={option: values.distribution() for option, values in space.items()},
         values=list(trial.values) or None,
         intermediate_values=dict(trial.curve) if one_objective else {},
+        constraints=dict(trial.violations),
     )
 
 
