@@ -79,6 +79,8 @@ def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_ru
     assert file.read_bytes() == content
     assert main.dispatch("export", [*[str(tiny_run)] * 2, "--to", "points", "--out", str(file)]) == 2
     assert "expected a folder for 2 runs" in capsys.readouterr().err
+    assert main.dispatch("export", [str(tiny_run), "--to", "mesh", "--out", str(tmp_path / "x.OBJ")]) == 2
+    assert "expected a folder or NAME.ply" in capsys.readouterr().err
     assert main.dispatch("export", [str(tiny_run), "--to", "points", "--within", "0.001", "--out", str(out)]) == 2
     assert f"error: {tiny_run.name}: no ray" in capsys.readouterr().err
     written = np.asarray(read(content).vertices)

@@ -124,6 +124,7 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     from qnerf.cli.display import LiveDisplay, print_outcome
     from qnerf.cli.training import note_without_effect, train
 
+    plugins.load(list(composed.plugins))  # a launcher's process has not; what is resolved depends on their classes
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
     own = HydraConfig.get()
     overrides = list(own.overrides.task)
@@ -133,7 +134,6 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
         console.rule(" ".join(overrides), align="left")
     elif sweep is not None:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
-    plugins.load(config["plugins"])  # a launcher's process has not imported them
     configuration = Configuration.of(config)
     if sweep is None:  # a sweep has said so in its first line
         note_without_effect(configuration, overrides)
@@ -177,7 +177,6 @@ def show(composed: DictConfig) -> None:
     """`--cfg job`: the configuration that acts, or as far as it is composed where options are missing."""
     try:
         config: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        plugins.load(config["plugins"])
         shown: Any = Configuration.of(config).complete
     except (ValueError, OmegaConfBaseException) as error:
         print(f"note: not complete: {one_line(error)}", file=sys.stderr)

@@ -17,11 +17,12 @@ def of_head(group: str, name: str, default: Any, *, _root_: DictConfig) -> Any:
     """The entry of `group`, such as density.rates, for the head `name`.
 
     A head without an entry takes that of the head whose recipe it follows (`Head.recipe`); without that, `default`.
+    ValueError of an unknown head: its module may not be imported yet, and its recipe would be ignored.
     """
     from qnerf.heads import HEADS
 
     values = OmegaConf.select(_root_, group)
-    names = [name, HEADS.get(name).recipe] if name in HEADS.names() else [name]  # type: ignore[attr-defined]
+    names = [name, HEADS.get(name).recipe]  # type: ignore[attr-defined]
     return next((values[key] for key in names if key in values), default)
 
 

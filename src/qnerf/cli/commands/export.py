@@ -9,6 +9,9 @@ from qnerf.cli.stored import load_stored, split
 from qnerf.records import find
 from qnerf.records.printable import printable
 
+_ELSEWHERE = (".obj", ".stl", ".glb", ".gltf", ".fbx")
+"""Files of geometry that are not written here; a folder has no such name."""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
@@ -49,6 +52,8 @@ def main(options: argparse.Namespace) -> None:
 
     out = Path(options.out or f"exports/{options.to}")
     single = out.suffix == ".ply" and not out.is_dir()
+    if out.suffix.lower() in _ELSEWHERE:
+        raise ValueError(f"--out: expected a folder or NAME.ply, got {printable(out)}; Blender and MeshLab convert PLY")
     if single and len(folders) > 1:
         raise ValueError(f"--out: expected a folder for {len(folders)} runs, got the file {printable(out)}")
     for folder in folders:
