@@ -85,7 +85,7 @@ STEPS = {
     ),
     "no circuits": (["field=classical", "cameras=se3", "appearance=2"], set()),
     "random features": (
-        ["field=qdensity", "encoder=rff", "qiren.qubits=3", "cameras=so3xr3", "shading=top"],
+        ["field=qdensity", "encoder=rff", "qiren.qubits=3", "cameras=so3xr3", "shading=none"],
         {"encoders/frequency.py", "quantum/angles.py", "quantum/compiled/engine.py"},
     ),
 }
