@@ -45,16 +45,12 @@ class Claim:
 class RunStore:
     """A folder of runs, created at the first claim.
 
-    every: seconds between flushes and heartbeats. watch: how many seconds the old heartbeat of a writer on another
-    machine is watched before its run is taken over.
+    every: seconds between flushes and heartbeats.
     """
 
-    def __init__(
-        self, root: str | Path, *, every: float = owner.HEARTBEAT_INTERVAL, watch: float = owner.WATCH_TIME
-    ) -> None:
+    def __init__(self, root: str | Path, *, every: float = owner.HEARTBEAT_INTERVAL) -> None:
         self.root = store_folder(root)
         self.every = every
-        self.watch = watch
 
     def runs(self) -> list[Path]:
         return runs(self.root)
@@ -154,7 +150,7 @@ class RunStore:
             if _is_vacant(directory):
                 return None
             raise
-        return owner.acquire(directory, self.watch)
+        return owner.acquire(directory)
 
 
 def _is_vacant(directory: Path) -> bool:
