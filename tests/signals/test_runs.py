@@ -20,7 +20,6 @@ from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
 from qnerf.records import details, runs
 from qnerf.signals import Photograph
-from qnerf.training.finite_checks import check_every_value
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
 
@@ -99,11 +98,8 @@ def test_a_diverged_fit_names_what_is_not_finite(fit):
     trainer = task.trainer(task_watch(task))
     with torch.no_grad():
         next(task.model.parameters()).fill_(torch.inf)
-    with pytest.raises(Diverged, match=r"^model\..* is not finite after .*; repeat the same command with numerics"):
+    with pytest.raises(Diverged, match=r"^model\..* is not finite after .*; the last checkpoint stays; a smaller"):
         trainer.save(None)
-    check_every_value(trainer)
-    with pytest.raises(Diverged, match="in the outputs of "):
-        trainer.take_step(measure=False)
 
 
 def built(config):
@@ -117,11 +113,6 @@ def task_watch(task):
     from qnerf.timing import Stopwatch
 
     return Stopwatch(torch.device("cpu"), task.model, QuantumLayer)
-
-
-def test_options_of_a_field_are_not_in_the_id_of_a_signal(fit):
-    outcome = run(fit("scene=photograph"), ["head=mlp", "seed=0", "train.steps=4"])
-    assert run(fit("scene=photograph", "render.near=1", "geo_features=3")).run_id == outcome.run_id
 
 
 def test_mistakes_are_one_line():
@@ -179,9 +170,3 @@ def test_an_evaluation_without_pictures_is_one_line(fit, monkeypatch, panels, me
     monkeypatch.setattr(Photograph, "evaluate", lambda signal, fitted: ({"psnr": 1.0}, panels))
     with pytest.raises(ValueError, match=f"Photograph.*{message}"):
         run(fit("scene=photograph"))
-
-
-def test_a_scene_that_is_none_is_one_line(fit, monkeypatch):
-    monkeypatch.setattr("qnerf.building.scene.component", lambda *_: [])
-    with pytest.raises(ValueError, match="scene=photograph: expected a Scene or a Task, got list"):
-        prepare(fit("scene=photograph"))
