@@ -51,12 +51,6 @@ def test_poses_start_as_they_are(name: str) -> None:
     assert torch.equal(found, poses)
 
 
-def test_fixed_cameras_have_nothing_to_learn() -> None:
-    cameras = CAMERAS.build("fixed", 4)
-    assert list(cameras.parameters()) == []
-    assert cameras.penalty() is None
-
-
 @pytest.mark.parametrize("name", REFINED)
 def test_only_training_views_move(name: str) -> None:
     cameras = CAMERAS.build(name, 5, [0, 2, 4]).double()
