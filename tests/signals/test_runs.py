@@ -13,12 +13,11 @@ from qnerf import experiment
 from qnerf.building.scene import prepare
 from qnerf.cli.commands import show
 from qnerf.cli.display import print_outcome
-from qnerf.cli.stored import stored
 from qnerf.encoders import ENCODERS
 from qnerf.experiment import run
 from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
-from qnerf.records import details, runs
+from qnerf.records import details
 from qnerf.signals import Photograph
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
@@ -62,18 +61,6 @@ def test_the_hash_grid_of_pixels_is_the_plane_z_0_of_one_of_points():
     solid.table.data.copy_(flat.table)
     points = torch.rand(50, 2)
     assert torch.equal(flat(points), solid(torch.nn.functional.pad(points, (0, 1))))
-
-
-def test_a_run_resumes_to_the_same_numbers(fit, tmp_path):
-    config = fit("scene=photograph", "head=qiren", "train.points=50")
-    whole = run(config | {"store": str(tmp_path / "whole")}).summary
-    steps = iter([False, False, True])
-    assert run(config, stopping=lambda: next(steps)).state == "interrupted"
-    (left,) = runs(tmp_path / "runs")
-    assert stored(left)["train.points"] == 50
-    resumed = run(config)
-    assert resumed.state == "finished"
-    assert resumed.summary["psnr"] == whole["psnr"]
 
 
 def test_a_colourless_run_says_so_with_options_that_it_has(fit, tiny, monkeypatch):
