@@ -6,7 +6,7 @@ from scipy.linalg import expm
 from torch import Tensor
 
 from qnerf.geometry.pose_refinement import CAMERAS
-from qnerf.geometry.rotations import exp_se3, exp_so3, exp_so3xr3, skew
+from qnerf.geometry.rotations import exp_se3, exp_so3, skew
 
 REFINED = ["se3", "so3xr3"]
 vectors = st.tuples(*[st.floats(-7, 7)] * 3)
@@ -34,13 +34,6 @@ def test_exponentials_against_the_matrix_exponential(vector: tuple[float, ...], 
     torch.testing.assert_close(exp_so3(rotation), exponential(skew(rotation)), rtol=0, atol=1e-13)
     twist = torch.cat([torch.tensor([0.3, -2.0, 1.0], dtype=torch.float64), rotation])
     torch.testing.assert_close(exp_se3(twist), exponential(twist_matrix(twist))[:3], rtol=0, atol=1e-13)
-
-
-def test_gradients_at_and_around_zero() -> None:
-    for function in (exp_so3xr3, exp_se3):
-        for scale in (0.0, 1e-9, 1e-3, 0.02, 0.6):
-            motion = torch.tensor([[0.4, -1.0, 0.2, 0.3, -0.8, 0.5]], dtype=torch.float64) * scale
-            assert torch.autograd.gradcheck(function, motion.requires_grad_())  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", CAMERAS.names())
