@@ -134,11 +134,6 @@ def test_the_sides_of_cells_are_lengths_in_the_world():
         assert (name == "l2") == (not bool(there.all()))
 
 
-def test_looks_are_due_at_their_steps():
-    mask = occupancy(every=5, after=12)
-    assert [step for step in range(30) if mask.due(step)] == [12, 17, 22, 27]
-
-
 def learning(tiny, *overrides: str) -> Trainer:
     return trainer(tiny("field=qboth", "qiren=1L1S", "qiren.qubits=2", "visibility.resolution=8", *overrides))
 

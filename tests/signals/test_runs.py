@@ -157,3 +157,9 @@ def test_an_evaluation_without_pictures_is_one_line(fit, monkeypatch, panels, me
     monkeypatch.setattr(Photograph, "evaluate", lambda signal, fitted: ({"psnr": 1.0}, panels))
     with pytest.raises(ValueError, match=f"Photograph.*{message}"):
         run(fit("scene=photograph"))
+
+
+def test_a_scene_that_is_none_is_one_line(fit, monkeypatch):
+    monkeypatch.setattr("qnerf.building.scene.component", lambda *_: [])
+    with pytest.raises(ValueError, match="scene=photograph: expected a Scene or a Task, got list"):
+        prepare(fit("scene=photograph"))
