@@ -20,7 +20,7 @@ from qnerf.records.files import StoreError, json_bytes, remove_temporary_files, 
 from qnerf.records.location import RUN_ID, store_folder
 from qnerf.records.owner import OwnerInfo, Ownership
 from qnerf.records.parquet import encode
-from qnerf.records.read import metric_parts, part_name, read_evaluation, read_status, runs
+from qnerf.records.read import metric_parts, part_name, read_evaluation, read_status
 from qnerf.records.schemas import PROBES
 from qnerf.records.writer import EMPTY_PART, Run, running_status
 
@@ -51,9 +51,6 @@ class RunStore:
     def __init__(self, root: str | Path, *, every: float = owner.HEARTBEAT_INTERVAL) -> None:
         self.root = store_folder(root)
         self.every = every
-
-    def runs(self) -> list[Path]:
-        return runs(self.root)
 
     def claim(
         self,
