@@ -98,6 +98,17 @@ def test_damaged_runs_are_rows(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(frame, index.load(store).set_index("run_id"))
 
 
+def test_store_may_be_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    for store in ("runs", "empty"):  # the default store, before anybody has trained
+        frame = index.load(store)
+        assert frame.empty
+        assert {"run_id", "state", "path"} <= set(frame.columns)
+    with pytest.raises(ValueError, match="absent: no such folder"):
+        index.load(tmp_path / "absent")
+
+
 def test_values_of_several_types_share_a_column(tmp_path: Path) -> None:
     """Runs of another version may have declared another type."""
     store = tmp_path / "runs"

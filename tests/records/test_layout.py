@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from hypothesis import example, given, settings
@@ -87,6 +89,16 @@ def test_summary_collects_and_keeps_its_types(store_: RunStore) -> None:
     row = records.read_summary(run.dir)
     assert (row["field"], row["psnr"], row["params.color"], row["steps"]) == ("qcolor", 20.0, 211, 10)
     assert row["state"] == "finished"
+
+
+def test_summary_that_was_changed_since_is_read_from_the_file(store_: RunStore) -> None:
+    run = claimed(store_)
+    run.finish({"psnr": 20.0, "params.color": 211})
+    path = run.dir / "summary.parquet"
+    table = pq.read_table(path)
+    assert records.read_status(run.dir)["summary"]["row"] == table.to_pylist()[0]
+    pq.write_table(table.set_column(table.schema.get_field_index("psnr"), "psnr", pa.array([21.0])), path)
+    assert records.read_summary(run.dir)["psnr"] == 21.0
 
 
 def test_environment_is_that_of_the_first_start(store_: RunStore) -> None:

@@ -29,7 +29,12 @@ def read_table(path: Path, kinds: Kinds = lambda name: None) -> pa.Table:
     """A Parquet file in memory, see `typed`; StoreError if it is absent or damaged."""
     with reporting(path, "read"):
         data = path.read_bytes()
-    with reading(path):
+    return decoded(data, kinds, path)
+
+
+def decoded(data: bytes, kinds: Kinds, label: object) -> pa.Table:
+    """As `read_table`, of a file's bytes."""
+    with reading(label):
         # Not pq.read_table: if its threads still hold Python's buffer when the interpreter ends, the process aborts.
         table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
         return typed(table, kinds)

@@ -28,7 +28,7 @@ from qnerf.records.environment import differences
 from qnerf.records.files import StoreError, json_bytes, read_json, replace, reporting
 from qnerf.records.owner import HEARTBEAT_INTERVAL, Ownership, Process
 from qnerf.records.parquet import encode
-from qnerf.records.read import metric_parts, part_name, read_config, read_part, read_status, read_summary
+from qnerf.records.read import metric_parts, part_name, read_config, read_part, read_status, read_summary, summary_copy
 
 PART_ROWS = 65_536
 EMPTY_PART = encode(schemas.METRICS_SCHEMA.empty_table())
@@ -170,7 +170,9 @@ class Run:
         with self._io:
             self._results |= plain(results, "summary")
             row = schemas.summary(self._results | {"run_id": self.run_id}, self.config, self._types)
-            self._write("summary.parquet", encode(row))
+            data = encode(row)
+            self._write("summary.parquet", data)
+            self._status["summary"] = summary_copy(row, data)
 
     def write_environment(self, environment: Mapping[str, Any], diff: str = "") -> None:
         """environment.json and, if the code differs from its commit, dirty.diff.
