@@ -68,7 +68,6 @@ SLOW = (
     "test_devices.py",
     "test_documents.py::test_commands_are_understood",
     "test_experiment.py",
-    "training/test_finite_checks.py",
     "training/test_trainer.py",
     "viewing/",
 )

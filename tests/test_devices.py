@@ -26,7 +26,7 @@ def test_the_layer_and_a_training_step_stay_on_their_device() -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [("field=qcolor",), ("field=qboth",), ("field=qcolor", "shading=top"), ("field=qboth", "qiren.statistics=first")],
+    [("field=qcolor",), ("field=qboth",), ("field=qcolor", "shading=none"), ("field=qboth", "qiren.statistics=first")],
 )
 def test_a_step_of_fixed_shapes_computes_what_one_that_gathers_rows_does(options: tuple[str, ...], monkeypatch) -> None:
     gathered = loss_and_gradients("cpu", *options)

@@ -315,18 +315,6 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
     assert all(torch.isfinite(value).all() for value in checkpoint["model"].values())
 
 
-def test_a_mistake_is_one_line_and_writes_nothing(tiny, tmp_path):
-    for override, message in {
-        "qiren.layers=0": "layers must be between 1 and 64, got 0",
-        "color.name=transformer": "known: amplitude, hyper, mlp",
-        "scene.path=/nowhere": "/nowhere",
-    }.items():
-        with pytest.raises(ValueError, match=message) as caught:
-            run(tiny(override))
-        assert "\n" not in str(caught.value)
-        assert not (tmp_path / "runs").exists()
-
-
 def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
     folder = write_scene(tmp_path / "rgba", channels=4)
     with pytest.raises(ValueError, match=r"use render\.background=white"):

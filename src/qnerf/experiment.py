@@ -25,7 +25,6 @@ from qnerf.records.environment import capture, dirty_diff
 from qnerf.records.schemas import RECORDED
 from qnerf.scenes.base import even_subset
 from qnerf.timing import STAGES, Stopwatch, machine, median_ms, peak_memory_mb
-from qnerf.training.finite_checks import check_every_value
 from qnerf.training.forecast import FORWARD, foretold, seconds_of_circuits
 from qnerf.training.preview import Preview
 from qnerf.training.stop_requests import stop_requests
@@ -209,8 +208,6 @@ class _Training:
         self.curve_rays = math.ceil(max(FEWEST, SHARE / FORWARD * trained) / max(len(chosen), 1))
         self.pruned = False
         self.taken = 0  # steps, by this command
-        if self.settings.numerics.finite_checks:
-            check_every_value(self.trainer)
 
     def finish(self, aside: Mapping[str, str]) -> Outcome:
         """aside: which compiled loops stepped aside meanwhile, and why."""

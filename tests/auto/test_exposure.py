@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qnerf.auto.exposure import best_shift, coarse, exposure_spread, gain, overlap, warning
+from qnerf.auto.exposure import best_shift, exposure_spread, gain, warning
 from qnerf.auto.rules import EXPOSURE
 from tests.helpers.worlds import ball, brightened, constant, floor, texture
 
@@ -51,15 +51,6 @@ def test_the_gain_of_a_shifted_and_brightened_view(rows, columns, logarithm):
     assert gain(a, b) == pytest.approx(-logarithm, abs=1e-6)
 
 
-@given(shift=st.tuples(st.integers(-3, 3), st.integers(-3, 3)))
-def test_the_overlap_is_where_both_are(shift):
-    whole = np.arange(400).reshape(20, 20)
-    a, b = whole[5:15, 5:15], whole[5 + shift[0] : 15 + shift[0], 5 + shift[1] : 15 + shift[1]]
-    here, there = overlap(a, b, shift)
-    assert here.shape == (10 - abs(shift[0]), 10 - abs(shift[1]))
-    np.testing.assert_array_equal(here, there)
-
-
 def test_views_of_other_things_say_nothing():
     random = np.random.default_rng(0)
     assert np.isnan(gain(random.uniform(size=(40, 40)), random.uniform(size=(40, 40))))
@@ -77,11 +68,3 @@ def test_transparent_pixels_are_left_out(world):
     cut[:, :12, :, :3] = 200
     assert exposure_spread(dataclasses.replace(world, images=cut)) < 0.2 * EXPOSURE
     assert exposure_spread(brightened(dataclasses.replace(world, images=world.images), 0.15)) > EXPOSURE
-
-
-@pytest.mark.parametrize(("shape", "small"), [((64, 36), (64, 36)), ((65, 36), (32, 18)), ((256, 100), (64, 25))])
-def test_large_images_are_made_small(shape, small):
-    rows = np.arange(shape[0], dtype=float)[:, None] * np.ones(shape[1])
-    assert coarse(rows).shape == small
-    factor = shape[0] // small[0]
-    assert coarse(rows)[0, 0] == pytest.approx((factor - 1) / 2)

@@ -83,17 +83,6 @@ def test_points_seen_twice_lie_on_each_others_epipolar_lines(seed):
         assert distances(fundamental(world.cameras, 0, 2), pixels).max() < 1e-6
 
 
-@given(offset=st.floats(-5, 5))
-def test_distances_are_in_pixels(offset):
-    """Cameras side by side: epipolar lines are the rows."""
-    across = torch.linspace(-0.2, 0.2, 3, dtype=torch.float64)
-    poses = torch.eye(4, dtype=torch.float64)[:3].repeat(3, 1, 1)
-    poses[:, 0, 3] = across
-    side = dataclasses.replace(FLOOR, cameras=dataclasses.replace(FLOOR.cameras, poses=poses))
-    matches = np.array([[[10.0, 20.0], [14.0, 20.0 + offset]]])
-    assert distances(fundamental(side.cameras, 0, 1), matches) == pytest.approx(abs(offset), abs=1e-9)
-
-
 def test_features_lie_where_both_images_have_them():
     world = floor(views=12, detail=6.0)
     points = matched(*(world.images[view, ..., 0].numpy() / 255 for view in (5, 6)))

@@ -12,7 +12,7 @@ import pytest
 from qnerf import __version__
 from qnerf.cli import main
 from qnerf.cli.commands import COMMANDS
-from qnerf.cli.errors import exit_code, is_shortage, one_line
+from qnerf.cli.errors import exit_code, one_line
 from tests.helpers.configs import ROOT
 
 
@@ -145,13 +145,3 @@ def test_output_that_knows_only_ascii_gets_the_rest_escaped(tmp_path: Path, monk
 
 def test_errors_are_one_line_and_escaped():
     assert one_line(ValueError("a\n  b \x1b[31m\ud800")) == "a b \\x1b[31m\\ud800"
-
-
-def test_too_little_memory_is_told_from_a_bug() -> None:
-    for error, expected in {
-        MemoryError(): True,
-        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes"): True,
-        RuntimeError("shapes differ"): False,
-    }.items():
-        assert is_shortage(error) == expected
-        assert one_line(error).startswith("not enough memory") == expected

@@ -18,7 +18,7 @@ import torch
 from qnerf import experiment
 from qnerf.cli import launch, main, sweep_start
 from qnerf.cli import sweep as sweeps
-from qnerf.cli.ends import Output, stoppable
+from qnerf.cli.ends import stoppable
 from qnerf.cli.errors import is_known, report
 from qnerf.cli.sweep import Sweep
 from qnerf.cli.training import train
@@ -344,20 +344,6 @@ def test_an_ignored_hangup_stays_ignored():
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, previous)
-
-
-def test_output_is_dropped_once_it_cannot_be_written():
-    reading, writing = os.pipe()
-    with open(writing, "w") as stream:
-        output = Output(stream)
-        output.write("one\n")
-        output.flush()
-        assert not output.lost
-        os.close(reading)
-        output.write("two\n" * 100_000)
-        output.flush()
-        assert output.lost
-        output.write("three\n")
 
 
 def test_a_stop_while_the_scene_is_read_leaves_no_run(qnerf, small, tmp_path, monkeypatch):

@@ -3,14 +3,12 @@
 import dataclasses
 import math
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import qnerf.geometry.rays
-from qnerf.config import memory
 from qnerf.geometry import rays
 from qnerf.geometry.bounds import bounds_of, described_bounds, misfit
 from qnerf.geometry.pose_refinement import CAMERAS
@@ -226,25 +224,6 @@ def test_bounds_in_the_wrong_order_are_refused():
     for near, far in ((-1, 2), (2, 2), (math.nan, 2), (1, math.nan)):
         with pytest.raises(ValueError, match="near must be at least 0 and below far"):
             RayTable(scene(cameras()), near=near, far=far)
-
-
-def test_colors_composite_straight_alpha():
-    world = scene(cameras(), channels=4)
-    pixels = world.images[1].numpy().astype(np.float64) / 255
-    white = pixels[..., :3] * pixels[..., 3:] + 1 - pixels[..., 3:]
-    np.testing.assert_allclose(world.colors(1, 1.0).numpy(), white, atol=1e-6)
-    red = world.colors(1, torch.tensor([1.0, 0, 0])).numpy()
-    np.testing.assert_allclose(red[..., 0], white[..., 0], atol=1e-6)
-    np.testing.assert_allclose(red[..., 1], (pixels[..., :3] * pixels[..., 3:])[..., 1], atol=1e-6)
-    opaque = scene(cameras())
-    assert torch.equal(opaque.colors(1, 1.0), opaque.images[1].float() / 255)
-
-
-def test_the_table_of_rays_says_what_it_would_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = worlds.ball(views=4, size=32)
-    monkeypatch.setattr(memory, "available_bytes", lambda: 1000)
-    with pytest.raises(ValueError, match=r"the table of 1,024 rays would take .* available"):
-        rays.RayTable(scene)
 
 
 def test_rays_computed_in_parts_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

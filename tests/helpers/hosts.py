@@ -15,7 +15,7 @@ def other_machine(name: str, ahead: float = 0.0, hangs_at: int = 0) -> None:
     owner._boot_id = lambda: name  # type: ignore[assignment]
     time.time = lambda: clock() + ahead  # type: ignore[assignment]
     owner.HEARTBEAT_LIMIT, sweep.RETRY = 6.0, 0.2
-    RunStore.__init__.__kwdefaults__.update(every=0.2, watch=0.5)
+    RunStore.__init__.__kwdefaults__.update(every=0.2)
     take_step = Trainer.take_step
 
     def step(self: Trainer, measure: bool) -> dict[str, float]:

@@ -15,7 +15,6 @@ from qnerf.analysis.figures.files import draw
 from qnerf.analysis.report import content, pictures
 from qnerf.analysis.tables import ablation
 
-from qnerf.cli import main
 from qnerf.records import StoreError, details
 from tests.helpers.packed_stores import picture, write_run
 
@@ -127,11 +126,3 @@ def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
     assert "speed: not drawn: KeyError: 'column'" in capsys.readouterr().out
     with pytest.raises(ValueError, match="KeyError: 'column'; KeyError: 'column'"):
         draw(load.runs(store), ["speed", "time"], tmp_path / "out", ["png"])
-
-
-@pytest.mark.parametrize("text", ["nan", "inf", "-1", "1e400"])
-def test_numbers_on_the_command_line_are_finite(text: str, capsys: pytest.CaptureFixture) -> None:
-    with pytest.raises(SystemExit) as end:
-        main.dispatch("reproduce", ["x", f"--tolerance={text}"])
-    assert end.value.code == 2
-    assert "expected a number" in capsys.readouterr().err

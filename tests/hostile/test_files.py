@@ -19,7 +19,7 @@ from tests.helpers.stores import CONFIG, claimed
 
 
 def store(tmp_path: Path) -> RunStore:
-    return RunStore(tmp_path / "runs", every=60, watch=0.1)
+    return RunStore(tmp_path / "runs", every=60)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def run(tmp_path: Path) -> Path:
 def goes_on(run: Path) -> None:
     """The same command continues the run."""
     assert records.state(run) == "interrupted"
-    claim = RunStore(run.parent, watch=0.1).claim(run.name, CONFIG)
+    claim = RunStore(run.parent).claim(run.name, CONFIG)
     assert claim.outcome == "resumed", claim.message
     assert claim.run is not None
     claim.run.interrupt()

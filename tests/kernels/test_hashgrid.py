@@ -1,7 +1,5 @@
 """The hash grid's compiled path against its plain PyTorch reference, and both at the edges: kernels/hashgrid.py."""
 
-import math
-
 import pytest
 import torch
 from hypothesis import given, settings
@@ -182,23 +180,3 @@ def test_level_resolutions_have_exact_ends_and_do_not_fall(levels, low, ratio):
     assert resolutions[0] == low
     assert resolutions[-1] == (high if levels > 1 else low)
     assert resolutions == sorted(resolutions)
-
-
-def test_level_resolutions_against_exact_arithmetic():
-    """floor(low (high/low)^(l/(L-1))) by integers alone: the largest r with r^(L-1) <= low^(L-1-l) high^l."""
-    for levels, low, high in [
-        (16, 16, 2048),
-        (12, 16, 2048),
-        (12, 16, 1024),
-        (8, 16, 1024),
-        (5, 16, 128),
-        (5, 16, 256),
-    ]:
-        exact = []
-        for level in range(levels):
-            power = low ** (levels - 1 - level) * high**level
-            r = max(math.floor(power ** (1 / (levels - 1))) - 2, 0)
-            while (r + 1) ** (levels - 1) <= power:
-                r += 1
-            exact.append(r)
-        assert level_resolutions(levels, low, high) == exact

@@ -43,14 +43,6 @@ def test_every_item_is_worked_on_once_whatever_the_threads(items, count, grain):
     np.testing.assert_array_equal(out, values**2)
 
 
-def test_thread_count_may_change_between_calls():
-    for count in (1, 4, 2, 8, 3):
-        torch.set_num_threads(count)
-        seen = []
-        run(lambda start, stop, ranges: ranges.append((start, stop)), 100, seen)
-        assert sorted(seen) == split(100, count)
-
-
 def test_grain_keeps_small_loops_on_the_calling_thread():
     torch.set_num_threads(2)
     seen = []
@@ -71,25 +63,6 @@ def test_a_part_may_run_kernels_itself():
     worker.join(60)
     assert not worker.is_alive()
     np.testing.assert_array_equal(out, 1)
-
-
-def test_many_threads_run_kernels_at_once():
-    torch.set_num_threads(2)
-    outs = [np.zeros(500) for _ in range(6)]
-
-    def work(out):
-        torch.set_num_threads(2)
-        for _ in range(50):
-            run(_square, 500, np.ones(500), out, grain=10)
-
-    workers = [threading.Thread(target=work, args=(out,)) for out in outs]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join(60)
-        assert not worker.is_alive()
-    for out in outs:
-        np.testing.assert_array_equal(out, 50)
 
 
 @pytest.mark.parametrize("part", [0, 1])

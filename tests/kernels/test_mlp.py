@@ -50,17 +50,6 @@ def test_values_and_gradients_are_those_of_the_reference(dtype, count, widths, s
         torch.testing.assert_close(ours, theirs, rtol=0, atol=bound)
 
 
-def test_the_same_bits_on_one_and_on_two_threads():
-    rows, layers, leaves = case(5000, [31, 64, 64, 3], torch.float32, 0)
-    threads, found = torch.get_num_threads(), []
-    for count in (1, 2):
-        torch.set_num_threads(count)
-        values = mlp(rows, layers)
-        found.append([values, *torch.autograd.grad(values, leaves, torch.ones_like(values))])
-    torch.set_num_threads(threads)
-    assert all(torch.equal(one, two) for one, two in zip(*found, strict=True))
-
-
 def test_second_derivatives_are_those_of_finite_differences():
     _, _, leaves = case(4, [3, 5, 4, 2], torch.float64, 1)
     assert torch.autograd.gradgradcheck(lambda rows, *parameters: mlp(rows, layers_of(parameters)), leaves)

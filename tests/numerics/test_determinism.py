@@ -17,7 +17,7 @@ from torch import Tensor
 
 from qnerf.kernels.grid_mlp import Grid, grid_mlp
 from qnerf.kernels.hashgrid import hash_encode
-from qnerf.kernels.mlp import layers_of
+from qnerf.kernels.mlp import layers_of, mlp
 from qnerf.quantum import QuantumLayer
 from qnerf.rendering.pdf import sample_edges
 from qnerf.training.losses import distortion, interlevel
@@ -104,6 +104,7 @@ def loops() -> dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]]:
     found = {
         "hash grid": (lambda *leaves: hash_encode(*leaves, cells), (points, table)),
         "hash grid and MLP": (with_layers, (table, *layers)),
+        "MLP": (lambda rows, *parameters: mlp(rows, layers_of(parameters)), (torch.rand(5000, 6), *layers)),
         "distortion": (partial(distortion, samples), (weights,)),
         "interlevel": (lambda proposed: interlevel(samples, weights, [(outer, proposed)]), (proposed,)),
         "drawing": (lambda: sample_edges(outer.spacing, proposed, 49), ()),

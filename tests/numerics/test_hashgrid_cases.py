@@ -1,6 +1,5 @@
 """The hash grid in float32 against float64 where cells meet, at every resolution it allows."""
 
-import pytest
 import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
@@ -52,21 +51,3 @@ def test_float32_features_and_gradients_at_cell_borders(
     errors = [float((a - b).abs().max()) / scale for a, b, scale in zip(found, exact, scales, strict=True) if scale]
     target(max(errors))
     assert max(errors) <= 1
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@given(where=coordinates(), seed=seeds, axis=st.integers(0, 2))
-def test_interpolation_is_continuous_at_cell_borders(
-    dtype: torch.dtype, where: tuple[int, list[float]], seed: int, axis: int
-) -> None:
-    """From one number to the next a feature moves by the slope, 2 resolution, and by its own roundings.
-
-    The place of a float64 point in its grid is rounded too, by 2^-53 resolution.
-    """
-    table = (2 * torch.rand(1, 64, 2, generator=torch.Generator().manual_seed(seed)) - 1).to(dtype)
-    points = torch.tensor([where[1]] * 2, dtype=dtype)
-    points[1, axis] = points[0, axis].nextafter(points.new_tensor(2.0))
-    here, there = hash_encode(points, table, torch.tensor([where[0]]))
-    moved = float((points[1] - points[0]).clamp(-1, 1).abs().max())
-    slack = 2 * FEATURES * torch.finfo(dtype).eps / EPS
-    assert float((there - here).abs().max()) <= 2 * where[0] * (moved + 2**-52) + slack

@@ -1,6 +1,5 @@
 """The normalisation before each circuit on hard cases: few rows, no variance, huge offsets, lagging statistics."""
 
-import math
 from itertools import product
 
 import pytest
@@ -14,7 +13,6 @@ from benchmarks.accuracy_cases.circuits import NORMALISED, normalisation_plain
 from qnerf.heads import HEADS, HybridLayer
 from qnerf.quantum import QuantumLayer
 
-MOMENTUM = 0.1  # of the running statistics, a step
 DAMPING = 1e-5  # added to the variance
 
 
@@ -110,35 +108,3 @@ def test_features_whose_variance_overflows_give_finite_angles() -> None:
         assert torch.isfinite(angles).all()
         assert torch.isfinite(torch.autograd.grad(angles.square().sum(), x)[0]).all()
         assert (angles.abs().max() > 1) == (size < 1e18)
-
-
-@settings(max_examples=25)
-@given(
-    shift=st.floats(-50, 50),
-    stretch=st.floats(0.1, 10),
-    steps=st.integers(1, 60),
-)
-def test_running_statistics_lag_by_a_factor_of_ten_ninths_a_step(shift: float, stretch: float, steps: int) -> None:
-    """Of a jump of the features' mean and variance 0.9^steps is left after `steps` steps."""
-    made = layer(dtype=torch.float64)
-    before, after = features(200).double(), features(200, seed=1).double() * stretch + shift
-    with torch.no_grad():
-        for _ in range(300):  # 0.9^300 = 2e-14
-            made(before)
-        for _ in range(steps):
-            made(after)
-    left = (1 - MOMENTUM) ** steps
-    mean = left * before.mean(0) + (1 - left) * after.mean(0)
-    variance = left * before.var(0) + (1 - left) * after.var(0)
-    torch.testing.assert_close(made.norm.running_mean, mean, rtol=0, atol=1e-11 * (1 + abs(shift)))
-    torch.testing.assert_close(made.norm.running_var, variance, rtol=1e-11, atol=0)
-
-
-def test_evaluation_takes_the_statistics_as_they_are_and_moves_none() -> None:
-    made = HybridLayer(3, 3, QuantumLayer(3, 1)).eval()
-    before = {name: value.clone() for name, value in made.state_dict().items()}
-    x = features(20, offset=5.0)
-    made(x)
-    assert all(torch.equal(value, before[name]) for name, value in made.state_dict().items())
-    fresh = layer().eval()  # before any training it takes the features as they are
-    assert (fresh(x) - x / math.sqrt(1 + DAMPING)).abs().max() <= 4 * EPS * float(x.abs().max())

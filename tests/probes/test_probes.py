@@ -84,16 +84,6 @@ def test_spectrum_adds_up_to_the_mean_square(wires, spectral, seed, ansatz):
         assert rows["variance"].iloc[0] == pytest.approx(values[:, output].var(), abs=1e-13)
 
 
-def test_spectrum_of_a_circuit_without_small_cones_is_exact_too():
-    circuit = layer(6, 2)
-    table = spectrum.powers(circuit)
-    assert set(table["method"]) == {"exact"}
-    x = 2 * torch.pi * torch.rand(20_000, 6, dtype=torch.float64)
-    squares = circuit(x).detach().square().mean(0).numpy()
-    sums = table.groupby(["output", "wire"])["power"].sum().unstack()
-    np.testing.assert_allclose(sums, np.repeat(squares[:, None], 6, 1), rtol=0.05)
-
-
 def test_spectrum_of_scaled_encodings_has_their_frequencies():
     table = spectrum.powers(layer(2, 2, ansatz="ternary"))
     assert sorted(table["frequency"].unique()) == [0, 1, 2, 3, 4]  # sums and differences of 1 and 3

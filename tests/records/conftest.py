@@ -7,7 +7,7 @@ from qnerf.records import RunStore, index
 
 @pytest.fixture
 def store_(tmp_path: Path) -> RunStore:
-    return RunStore(tmp_path / "runs", every=60, watch=0.3)
+    return RunStore(tmp_path / "runs", every=60)
 
 
 @pytest.fixture

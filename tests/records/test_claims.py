@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from qnerf import records
-from qnerf.records import RunStore, annotations, store
+from qnerf.records import RunStore, store
 from qnerf.records.files import replace
 from tests.helpers.stores import CONFIG, claimed
 
@@ -45,20 +45,6 @@ def test_context_manager_ends_the_run(store_: RunStore) -> None:
         again.run.finish()
 
 
-def test_a_run_done_over_keeps_its_tags_and_note(store_: RunStore) -> None:
-    claim = store_.claim("a", CONFIG)
-    assert claim.run is not None
-    annotations.change_tags(claim.dir, ["good"])
-    annotations.write_note(claim.dir, "look again")
-    claim.run.finish()
-    again = store_.claim("a", CONFIG, force=True)
-    assert again.outcome == "new"
-    assert again.run is not None
-    again.run.finish()
-    annotated = annotations.read(again.dir)
-    assert (list(annotated.tags), annotated.note) == (["good"], "look again")
-
-
 def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> None:
     run = claimed(store_)
     run.log(0, 0.0, {"loss": 1.0})
@@ -84,7 +70,14 @@ def test_a_run_done_over_loses_our_files_alone(store_: RunStore) -> None:
     run.text_log("line")
     run.finish()
     ours = ["checkpoint.pt", "log.txt", "images/0.png", "units.parquet", "damaged-1-checkpoint.pt"]
-    users = ["notes.md", "plots/a.png", "images/mine.png", "metrics/notes.txt", "checkpoint-best.pt", "mine.parquet"]
+    users = [
+        "notes.md",
+        "plots/a.png",
+        "images/mine.png",
+        "metrics/notes.txt",
+        "checkpoint-best.pt",
+        "annotations.json",
+    ]
     for name in (*users, *ours[-2:]):
         (run.dir / name).parent.mkdir(exist_ok=True)
         (run.dir / name).write_text("x")

@@ -42,7 +42,7 @@ def test_a_new_run_is_complete_from_its_first_moment(store_: RunStore) -> None:
     assert (row["seed"], row["train.lr"], row["odd"]) == (0, 1e-6, '["a", 1]')
     assert "hydra.x" not in row
     assert records.state(claim.dir) == "running"
-    assert store_.runs() == [claim.dir]
+    assert records.runs(store_.root) == [claim.dir]
     claim.run.finish()
 
 

@@ -4,9 +4,7 @@ import json
 import os
 import platform
 import re
-import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -81,60 +79,24 @@ def last_written(run: Run, age: float) -> None:
         os.utime(path, (time.time() - age, time.time() - age))
 
 
-@pytest.mark.parametrize("ahead", [0, 600, -600])
-@pytest.mark.parametrize(("age", "alive"), [(20, True), (170, True), (190, False)])
-def test_run_of_another_machine_lives_by_the_clock_of_the_file_system(
-    store_: RunStore, age: float, alive: bool, ahead: float
-) -> None:
-    """Whether its own clock is right or not."""
-    run = claimed(store_)
-    elsewhere(run, age - ahead)
-    last_written(run, age)
-    claim = store_.claim("a", CONFIG)
-    assert claim.outcome == ("busy" if alive else "resumed")
-    if claim.run is None:
-        seconds = re.search(rf"process {os.getpid()} on other \(last heartbeat (\d+) s ago\)", claim.message)
-        assert seconds is not None
-        assert age <= int(seconds[1]) <= age + 30
-    else:
-        claim.run.finish()
-
-
 @pytest.mark.parametrize("ahead", [0, 3600, -3600])
-def test_reader_compares_heartbeats_with_the_clock_of_the_file_system(
+def test_run_of_another_machine_lives_by_the_clock_of_the_file_system(
     store_: RunStore, monkeypatch: pytest.MonkeyPatch, ahead: float
 ) -> None:
-    """Whether the clock of its own machine is right or not."""
+    """Whether the clocks of both machines are right or not."""
     run = claimed(store_)
-    elsewhere(run, 0)
+    elsewhere(run, ahead)
     clock = time.time
-    for age, expected in ((1, "running"), (150, "running"), (200, "interrupted")):
+    for age, alive in ((1, True), (170, True), (190, False)):
         last_written(run, age)
         with monkeypatch.context() as patch:
             patch.setattr(time, "time", lambda: clock() + ahead)
-            assert records.state(run.dir) == expected
+            assert records.state(run.dir) == ("running" if alive else "interrupted")
             assert re.search(rf"on other \(last heartbeat {age}|{age + 1} s ago\)", str(owner.describe(run.dir)))
-
-
-def test_old_heartbeat_that_changes_keeps_the_run(tmp_path: Path) -> None:
-    """A file server may show a new version late."""
-    store = RunStore(tmp_path, every=60, watch=30)
-    run = claimed(store)
-    elsewhere(run, 1000)
-    last_written(run, 1000)
-
-    def beat() -> None:
-        time.sleep(0.3)
-        status = run.dir / "status.json"
-        status.write_text(json.dumps(json.loads(status.read_text()) | {"heartbeat": 1.0}))
-        last_written(run, 990)
-
-    thread = threading.Thread(target=beat)
-    thread.start()
-    claim = store.claim("a", CONFIG)
-    thread.join()
-    assert claim.outcome == "busy"
-    assert "on other" in claim.message
+            claim = store_.claim("a", CONFIG)
+            assert claim.outcome == ("busy" if alive else "resumed")
+    assert claim.run is not None
+    claim.run.finish()
 
 
 def test_a_writer_that_was_succeeded_stops(store_: RunStore) -> None:
@@ -165,21 +127,6 @@ def test_a_late_contender_does_not_become_a_second_owner(store_: RunStore) -> No
     assert not owner._succeeds(run.dir, late, stale)
     last.flush()
     last.finish()
-
-
-def test_a_damaged_owner_file_is_watched_too(store_: RunStore) -> None:
-    """A file system without hard links shows it empty for a moment; the clock of its server may be off."""
-    run = claimed(store_)
-    run._stop()
-    path = next(run.dir.glob("owner/*.json"))
-    record = path.read_text()
-    path.write_text("")
-    last_written(run, 1000)
-    thread = threading.Timer(0.3, path.write_text, [record])
-    thread.start()
-    claim = RunStore(store_.root, watch=20).claim("a", CONFIG)
-    thread.join()
-    assert claim.outcome == "busy"
 
 
 def test_an_owner_that_was_frozen_while_it_wrote_does_not_rename(

@@ -75,17 +75,3 @@ def test_rendering_against_a_loop(background: str) -> None:
         assert float(rendering.accumulation[ray]) == pytest.approx(1 - left)
         assert float(rendering.depth[ray]) == pytest.approx(distance / (1 - left))
         assert float(rendering.depth_median[ray]) == (median if median is not None else float(along.mids[ray, -1]))
-
-
-@pytest.mark.parametrize("background", ["last_sample", "white", "random"])
-def test_rendering_gradients(background: str) -> None:
-    density, along = rays(3, 5)
-    color = torch.rand(3, 5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2), requires_grad=True)
-
-    def colors(sigma: torch.Tensor, c: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        generator = torch.Generator().manual_seed(0)
-        weights = volume_weights(sigma, along.deltas)
-        rendering, _ = render(weights, c, along, background=background, generator=generator)
-        return rendering.color, rendering.depth, rendering.accumulation
-
-    assert torch.autograd.gradcheck(colors, (density.requires_grad_(), color))

@@ -8,92 +8,28 @@ from hypothesis import strategies as st
 from qnerf.heads.activations import DENSITY_ACTIVATIONS
 from qnerf.kernels import plain
 from qnerf.kernels.dispatch import report
-from qnerf.rendering.render import color_shares, render, volume_weights
+from qnerf.rendering.render import color_shares, volume_weights
 from qnerf.rendering.shading import SHADINGS, SMALL, shade
-from qnerf.types import Samples
 from tests.helpers.configs import TINY
 from tests.helpers.trainer import built
 
 
-def along(count: int, samples: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, Samples]:
-    """Weights, colours and intervals of rays, some of them empty."""
+def along(count: int, samples: int, seed: int) -> torch.Tensor:
+    """Weights of rays, some of them empty."""
     generator = torch.Generator().manual_seed(seed)
     s = torch.rand(count, samples + 1, dtype=torch.float64, generator=generator).sort(-1).values
     density = torch.rand(count, samples, dtype=torch.float64, generator=generator).mul(12).sub(8).exp()
     density[0] = 0
-    color = torch.rand(count, samples, 3, dtype=torch.float64, generator=generator)
-    return volume_weights(density, s.diff()), color, Samples(s, s)
+    return volume_weights(density, s.diff())
 
 
-@pytest.mark.parametrize("background", ["last_sample", "white"])
-@settings(max_examples=40)
-@given(seed=st.integers(0, 2**20), samples=st.integers(1, 40), least=st.sampled_from([0.0, 1e-4, 1e-2, 0.3]))
-def test_a_threshold_moves_a_colour_by_what_it_leaves_out_at_most(background, seed, samples, least):
-    weights, color, intervals = along(6, samples, seed)
-    share = color_shares(weights, background)
-    geometry = torch.zeros(*share.shape, 1)
-    parts, _, mask = SHADINGS.build("threshold", min_share=least)(share, geometry)
-    assert bool(mask.any(-1).all())
-    left_out = (share * ~mask).sum(-1)
-    assert bool((left_out <= samples * least).all())
-    full, _ = render(weights, color, intervals, background=background)
-    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, shares=parts)
-    assert bool(((shaded.color - full.color).abs().amax(-1) <= left_out + 1e-12).all())
-    assert torch.equal(shaded.weights, full.weights)
-
-
-@pytest.mark.parametrize(
-    ("name", "options"), [("threshold", {"min_share": 0.3}), ("top", {"samples": 1}), ("merge", {})]
-)
-def test_a_head_gets_two_samples_where_one_ray_alone_meets_something(name, options):
+def test_a_head_gets_two_samples_where_one_ray_alone_meets_something():
     """As many as its normalisation needs."""
     share, evaluated = torch.zeros(8, 5), torch.zeros(8, 5, dtype=torch.bool)
     share[3, 2], evaluated[3, 1:3] = 1.0, True
-    mask = SHADINGS.build(name, **options)(share, torch.zeros(8, 5, 1), evaluated).mask
+    mask = SHADINGS.build("merge")(share, torch.zeros(8, 5, 1), evaluated).mask
     assert mask is not None
     assert int(mask.sum()) >= 2
-
-
-@settings(max_examples=40)
-@given(seed=st.integers(0, 2**20), samples=st.integers(1, 20), most=st.integers(1, 25))
-def test_top_keeps_the_largest_shares(seed, samples, most):
-    share = color_shares(along(5, samples, seed)[0], "last_sample")
-    mask = SHADINGS.build("top", samples=most)(share, torch.zeros(*share.shape, 1)).mask
-    assert bool((mask.sum(-1) == min(most, samples)).all())
-    smallest_kept = share.masked_fill(~mask, 2).amin(-1)
-    assert bool((share.masked_fill(mask, -1).amax(-1) <= smallest_kept).all())
-
-
-@pytest.mark.parametrize("name", ["none", "threshold", "top"])
-@settings(max_examples=40)
-@given(
-    seed=st.integers(0, 2**20),
-    samples=st.integers(1, 12),
-    empty=st.booleans(),
-    background=st.sampled_from(["last_sample", "white"]),
-    number=st.sampled_from([0, 1, 2]),
-)
-def test_every_ray_keeps_an_evaluated_sample_and_no_other(name, seed, samples, empty, background, number):
-    """Whatever the shares: all zero on a white background, too."""
-    weights, color, intervals = along(6, samples, seed)
-    evaluated = torch.rand(6, samples, generator=torch.Generator().manual_seed(seed)) < 0.4
-    evaluated[:, -1] = True
-    weights = weights * evaluated * (not empty)
-    options = {"threshold": {"min_share": (0.0, 1e-3, 0.5)[number]}, "top": {"samples": (1, 3, 50)[number]}}.get(
-        name, {}
-    )
-    share = color_shares(weights, background)
-    geometry = torch.ones(6, samples, 1, dtype=torch.float64)
-    parts, _, mask = SHADINGS.build(name, **options)(share, geometry, evaluated)
-    assert bool(mask.any(-1).all())
-    assert not bool((mask & ~evaluated).any())
-    assert bool((share.masked_fill(~mask, -1).amax(-1) == share.masked_fill(~evaluated, -1).amax(-1)).all())
-    torch.testing.assert_close(parts.sum(-1), share.sum(-1))
-    assert not bool((parts > 0)[~mask].any())
-    shaded, _ = render(weights, color * mask[..., None], intervals, background=background, shares=parts)
-    assert bool(torch.isfinite(shaded.color).all())
-    if empty and background == "white":
-        torch.testing.assert_close(shaded.color, torch.ones_like(shaded.color))
 
 
 @pytest.mark.parametrize("field", ["classical", "qcolor"])
@@ -110,36 +46,11 @@ def test_rays_that_pass_only_empty_space_are_white_under_every_shading(config, s
     assert torch.equal(rendering.accumulation, torch.zeros(16))
 
 
-def test_the_colour_head_sees_the_chosen_samples_alone_and_a_shading_that_keeps_all_changes_nothing(config):
-    """In training and in evaluation; the normalisation of a circuit head is part of the comparison."""
-    rendered = {}
-    for shading in ("none", "threshold", "top"):
-        options = (
-            ["shading.min_share=0.0"] if shading == "threshold" else ["shading.samples=1"] if shading == "top" else []
-        )
-        _, _, model, table, watch = built(
-            config("field=qcolor", "qiren.qubits=3", "visibility.cameras=0", f"shading={shading}", *options, *TINY)
-        )
-        seen: list[int] = []
-        model.field.color_head.register_forward_pre_hook(lambda _, inputs, seen=seen: seen.append(len(inputs[0])))
-        rays, _ = table.batch(32, torch.Generator().manual_seed(0))
-        colors = []
-        for training in (True, False):
-            model.train(training)
-            colors.append(model(rays, background="last_sample", step=0, watch=watch)[0].color)
-        rendered[shading] = (colors, seen)
-    samples = 32 * 4
-    assert rendered["none"][1] == [samples] * 2
-    assert rendered["top"][1] == [32] * 2
-    assert rendered["threshold"][1] == [samples] * 2
-    torch.testing.assert_close(rendered["threshold"][0], rendered["none"][0], rtol=1e-5, atol=1e-6)
-
-
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**20), samples=st.integers(1, 30), parts=st.integers(1, 40))
 def test_merging_keeps_shares_and_their_sum_of_features(seed, samples, parts):
     """A colour that is linear in the features is exact: the features are means weighted by the shares."""
-    share = color_shares(along(5, samples, seed)[0], "last_sample")
+    share = color_shares(along(5, samples, seed), "last_sample")
     geometry = torch.randn(5, samples, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
     merged, features, mask = SHADINGS.build("merge", parts=parts)(share, geometry)
     assert merged.shape == mask.shape == (5, parts)

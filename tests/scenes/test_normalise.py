@@ -43,15 +43,6 @@ def test_cameras_stand_upright_around_the_origin_within_one(seed):
     np.testing.assert_allclose(transform[:3, :3] @ source[:, :, :3] / scale, rotations, atol=1e-9)
 
 
-def test_scaling_alone_keeps_directions_and_origin():
-    source = random_poses(0)
-    poses, transform = normalise(source, orient=False, centre=False)
-    size = np.abs(source[:, :, 3]).max()
-    np.testing.assert_allclose(poses[:, :, 3], source[:, :, 3] / size)
-    np.testing.assert_array_equal(poses[:, :, :3], source[:, :, :3])
-    np.testing.assert_allclose(transform, np.diag([1 / size] * 3 + [1]))
-
-
 def test_cameras_at_one_point_have_no_scale():
     poses = random_poses(0)
     for at in (0.0, 1e-9, 4.0, 1e9):

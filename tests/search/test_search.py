@@ -41,7 +41,7 @@ class Bench:
     def __init__(
         self, store: Path, deaths: Sequence[int] = (), seeds: Sequence[int] = (0,), invalid: bool = True
     ) -> None:
-        self.store = RunStore(store, every=60, watch=0.01)
+        self.store = RunStore(store, every=60)
         self.invalid = invalid
         self.deaths, self.seeds = set(deaths), seeds
         self.moments = 0

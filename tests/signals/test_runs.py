@@ -13,14 +13,12 @@ from qnerf import experiment
 from qnerf.building.scene import prepare
 from qnerf.cli.commands import show
 from qnerf.cli.display import print_outcome
-from qnerf.cli.stored import stored
 from qnerf.encoders import ENCODERS
 from qnerf.experiment import run
 from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
-from qnerf.records import details, runs
+from qnerf.records import details
 from qnerf.signals import Photograph
-from qnerf.training.finite_checks import check_every_value
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
 
@@ -65,18 +63,6 @@ def test_the_hash_grid_of_pixels_is_the_plane_z_0_of_one_of_points():
     assert torch.equal(flat(points), solid(torch.nn.functional.pad(points, (0, 1))))
 
 
-def test_a_run_resumes_to_the_same_numbers(fit, tmp_path):
-    config = fit("scene=photograph", "head=qiren", "train.points=50")
-    whole = run(config | {"store": str(tmp_path / "whole")}).summary
-    steps = iter([False, False, True])
-    assert run(config, stopping=lambda: next(steps)).state == "interrupted"
-    (left,) = runs(tmp_path / "runs")
-    assert stored(left)["train.points"] == 50
-    resumed = run(config)
-    assert resumed.state == "finished"
-    assert resumed.summary["psnr"] == whole["psnr"]
-
-
 def test_a_colourless_run_says_so_with_options_that_it_has(fit, tiny, monkeypatch):
     monkeypatch.setattr(experiment, "EARLY", 1)
     photograph, field = fit("scene=photograph", "train.lr=1e-9"), tiny("field=classical", "train.lr=1e-9")
@@ -99,11 +85,8 @@ def test_a_diverged_fit_names_what_is_not_finite(fit):
     trainer = task.trainer(task_watch(task))
     with torch.no_grad():
         next(task.model.parameters()).fill_(torch.inf)
-    with pytest.raises(Diverged, match=r"^model\..* is not finite after .*; repeat the same command with numerics"):
+    with pytest.raises(Diverged, match=r"^model\..* is not finite after .*; the last checkpoint stays; a smaller"):
         trainer.save(None)
-    check_every_value(trainer)
-    with pytest.raises(Diverged, match="in the outputs of "):
-        trainer.take_step(measure=False)
 
 
 def built(config):
@@ -117,11 +100,6 @@ def task_watch(task):
     from qnerf.timing import Stopwatch
 
     return Stopwatch(torch.device("cpu"), task.model, QuantumLayer)
-
-
-def test_options_of_a_field_are_not_in_the_id_of_a_signal(fit):
-    outcome = run(fit("scene=photograph"), ["head=mlp", "seed=0", "train.steps=4"])
-    assert run(fit("scene=photograph", "render.near=1", "geo_features=3")).run_id == outcome.run_id
 
 
 def test_mistakes_are_one_line():

@@ -12,20 +12,6 @@ from qnerf.signals import Distance
 from qnerf.signals.shapes import SEMI_AXES, ellipsoid, horse, outline
 
 
-def surface(count: int) -> np.ndarray:
-    """Points (count, 3) on the ellipsoid."""
-    directions = np.random.default_rng(0).normal(size=(count, 3))
-    return 0.5 + SEMI_AXES * directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def test_distance_is_that_of_the_nearest_point_of_the_surface():
-    points = np.random.default_rng(1).random((200, 3))
-    nearest = np.sqrt(((points[:, None] - surface(40_000)) ** 2).sum(-1)).min(1)
-    exact = np.abs(ellipsoid(points))
-    assert (nearest >= exact - 1e-12).all()
-    assert (nearest - exact).max() < 0.01  # the random points lie about 0.005 apart
-
-
 @given(st.tuples(*[st.floats(0, 1)] * 3))
 def test_the_gradient_of_the_ellipsoids_distance_has_length_1_and_leads_to_the_surface(point):
     step = 1e-5

@@ -112,13 +112,3 @@ def test_a_third_kind_of_task_is_one_class(fit, pulse):
     assert len(list((outcome.path / "images").glob("*.png"))) == 2
     assert "eval/psnr" in set(read_metrics(outcome.path)["key"])
     assert run(config).message  # skipped
-
-
-def test_a_third_kind_resumes_to_the_same_numbers(fit, pulse, tmp_path):
-    config = fit("scene=photograph", "train.steps=6", "encoder=none", "train.eval_every=0") | {
-        "scene": {"name": "pulse"}
-    }
-    whole = run(config | {"store": str(tmp_path / "whole")}).summary
-    steps = iter([False, False, True])
-    assert run(config, stopping=lambda: next(steps)).state == "interrupted"
-    assert run(config).summary["psnr"] == whole["psnr"]

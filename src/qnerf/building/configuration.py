@@ -20,9 +20,7 @@ from qnerf.config.settings import Common, built
 from qnerf.model.labels import slug
 from qnerf.records.schemas import RECORDED
 
-EXECUTION = (
-    "device", "threads", "store", "run", "numerics.finite_checks", "train.checkpoint_every", "train.chunk",
-)  # fmt: skip
+EXECUTION = ("device", "threads", "store", "run", "train.checkpoint_every", "train.chunk")
 """Options and groups that say where and how a run is executed, not what it computes."""
 
 

@@ -2,9 +2,8 @@
 
 import contextlib
 import re
-import shlex
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -26,23 +25,10 @@ from qnerf.cli import plugins as plugin_modules
 from qnerf.cli.errors import one_line
 from qnerf.cli.resolvers import HYDRA
 from qnerf.config.folders import CONF, SWEEPS
+from qnerf.config.identity import leaves
 
 HEADS = ("density", "color")
 SHOWN = 3  # suggestions
-HABITS = {
-    "learning_rate": "train.lr",
-    "batch_size": "train.rays",
-    "iterations": "train.steps",
-    "max_num_iterations": "train.steps",
-    "max_steps": "train.steps",
-    "epochs": "train.steps",
-    "data": "scene.path",
-    "output_dir": "store",
-    "gpu": "device",
-    "cuda": "device",
-}
-"""What other programs call an option -> the option."""
-
 _turn = threading.Lock()  # one composes at a time: a part of Hydra's state is global
 _OVERRIDE = re.compile(r"(?P<sign>~|\+\+|\+)?(?P<key>[A-Za-z_][\w./@-]*)(?P<value>=.*)?", re.DOTALL)
 
@@ -133,14 +119,7 @@ def _cure(argument: str) -> str:
     key, _, value = argument.partition("=")
     if value.endswith(","):
         return f"several values have commas between them and no spaces, such as {key}=1,2,3"
-    return f"close its brackets, or quote a value that holds special characters: {_quoted(key, value)}"
-
-
-def _quoted(key: str, value: str) -> str:
-    """An override with a text that Hydra leaves as it is, to be typed in a shell."""
-    text = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + found[2].replace("'", "\\'"), value)
-    typed = f"{key}='{text}'"
-    return shlex.quote(typed) if set(typed) & set('"$`\\!') else f'"{typed}"'
+    return f"close its brackets, or quote special characters for the shell and for Hydra: '{key}=\"{value[:80]}\"'"
 
 
 def _refuse(message: str) -> NoReturn:
@@ -218,87 +197,55 @@ def message(error: Exception, typed: Sequence[str]) -> str:
         kind, override, key, value, _ = several.groups()
         key = key.lstrip("+~")
         config = _composed(typed, hydra=key.startswith("hydra."))
-        if config is not None and key not in _names(config) and not key.startswith("hydra/"):
+        if key not in _names(config) and not key.startswith("hydra/"):
             return unknown_option(key, config)
-        known = f"; a list is {key}=[{value}], a text {_quoted(key, value)}" if kind == "Ambig" else ""
+        known = f"; a list is {key}=[{value}]" if kind == "Ambig" else ""
         return f"{override}: several values are a sweep, add -m{known}"
-    unknown = re.match(r"Could not override '([\w.@/]+)'", str(error))
-    if unknown:
+    if unknown := re.match(r"Could not override '([\w.@/]+)'", str(error)):
         return unknown_option(unknown[1], _composed(typed, hydra=unknown[1].startswith("hydra.")))
     cause = f": {one_line(error.__cause__)}" if isinstance(error.__cause__, Exception) else ""
     return one_line(error).partition(" See https://hydra.cc")[0] + cause
 
 
-def unknown_option(name: str, config: DictConfig | None) -> str:
+def unknown_option(name: str, config: DictConfig) -> str:
     """What to type instead of an option that the configuration does not have."""
-    if name == "head":
-        from qnerf.building.acting import options_of_scene
-        from qnerf.signals import SCENES
-
-        scenes = [scene for scene in SCENES.names() if "head" in options_of_scene(scene).__annotations__]
-        return f"head: only scenes with one head have it, {', '.join(scenes)}; others: density=... and color=..."
-    if config is None or OmegaConf.select(config, name) is not None:
-        return f"unknown option {name} with these choices"
+    if OmegaConf.select(config, name) is None and (suggested := hint(name, config)):
+        return f"unknown option {name}{suggested}"
     group = name.rpartition(".")[0]
     while not isinstance(node := OmegaConf.select(config, group) if group else config, DictConfig):
         group = group.rpartition(".")[0]
-    if suggested := hint(name, config):
-        return f"unknown option {name}{suggested}"
-    known = (
-        sorted(key for key in map(str, node) if not key.startswith("_"))
-        if group
-        else sorted({*map(str, config), *_groups()})
-    )
-    return f"unknown option {name}; known: {', '.join(known)}"
+    known = {key for key in map(str, node) if not key.startswith("_")} | {*(_groups() if not group else ())}
+    return f"unknown option {name}; known: {', '.join(sorted(known - {name}))}"
 
 
 def hint(name: str, config: DictConfig | None = None) -> str:
-    """`; did you mean train.lr=...?` for what is close to an option or a group, or is the last part of an option."""
-    config = config if config is not None else _composed(())
-    name = name.replace("-", "_")
-    names = _names(config)
-    last, group = name.rpartition(".")[2], f"{name.partition('.')[0]}."
-    found = [HABITS[last]] if last in HABITS else get_close_matches(name, names, n=1, cutoff=0.8)
-    if group == "hydra.":  # an option of Hydra is none of ours
-        names, found = [known for known in names if known.startswith(f"{name.rpartition('.')[0]}.")], []
-    near = get_close_matches(last, {known.rpartition(".")[2] for known in names}, n=1, cutoff=0.75)
-    found = found or [known for known in names if known.rpartition(".")[2] in near]
-    found = [known for known in found if known.startswith(group)] or found
-    found = sorted(dict.fromkeys(found), key=lambda known: (known.count("."), not known.startswith("train"), known))
+    """`; did you mean train.lr=...?` for what is the last part of an option, or close to an option or a group."""
+    names, name = _names(_composed(()) if config is None else config), name.replace("-", "_")
+    group, _, last = name.rpartition(".")
+    same = [known for known in names if known.rpartition(".")[2] == last and (not group or group in known)]
+    near = sorted(same, key=lambda known: known.count(".")) or get_close_matches(name, names, n=1, cutoff=0.8)
+    found = [name] if name in names else near
     return f"; did you mean {' or '.join(f'{known}=...' for known in found[:SHOWN])}?" if found else ""
 
 
-def _names(config: DictConfig | None) -> list[str]:
+def _names(config: DictConfig) -> list[str]:
     """All options and groups."""
-    return [*_leaves(OmegaConf.to_container(config) if config is not None else {}), *_groups()]
+    options: Any = OmegaConf.to_container(config)
+    return [*(name for name, _ in leaves(options)), *_groups()]
 
 
 def _groups() -> list[str]:
-    return sorted(
-        [path.name for path in CONF.iterdir() if path.is_dir() and path.name not in ("hydra", "head")] + [*HEADS]
-    )
+    folders = [path.name for path in CONF.iterdir() if path.is_dir() and path.name not in ("hydra", "head")]
+    return sorted([*folders, *HEADS])
 
 
-def _leaves(node: Any, prefix: str = "") -> Iterator[str]:
-    for key, value in node.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}"
-
-
-def _composed(arguments: Iterable[str], hydra: bool = False) -> DictConfig | None:
-    """The configuration with the typed choices, or without them if they do not exist; None if neither is possible."""
+def _composed(typed: Iterable[str], hydra: bool = False) -> DictConfig:
+    """The configuration with the typed choices, or without them if they do not exist."""
     groups = (*_groups(), "head")
-    typed = [word for word in arguments if word.startswith("hydra/") or _key(word).rpartition("@")[2] in groups]
-    for choices in ([word for word in typed if "," not in word], []):
-        with contextlib.suppress(HydraException, OmegaConfBaseException):
-            return _compose(choices, hydra)
-    return None
-
-
-def _key(word: str) -> str:
-    return word.partition("=")[0]
+    choices = [word for word in typed if word.partition("=")[0].rpartition("@")[2] in groups and "," not in word]
+    with contextlib.suppress(HydraException, OmegaConfBaseException):
+        return _compose([*choices, *(word for word in typed if word.startswith("hydra/") and "," not in word)], hydra)
+    return _compose([], hydra)
 
 
 def _suggested(name: str, known: Sequence[str]) -> str:

@@ -209,7 +209,7 @@ def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> No
     columns = [
         Column("trial", lambda row: row["trial"], limit=255),
         *(metric_column(metric_of(name)) for name in objectives),
-        Column("runs", lambda row: row["runs"], rank=1, min_width=14, tail=13, limit=255),
+        Column("runs", lambda row: row["runs"], rank=1, limit=255),
     ]
     rows = [
         {"trial": " ".join(overrides(space, trial.point)), "runs": ",".join(trial.runs)}

@@ -13,7 +13,7 @@ from qnerf.building.scene import prepare
 from qnerf.cli.sweep import RETRY
 from qnerf.experiment import Display, Outcome, Unpromising, never
 
-PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT and the watch of `qnerf.records.owner`
+PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT of `qnerf.records.owner`
 
 
 def train(

@@ -143,7 +143,6 @@ class Numerics:
     """How numbers are computed."""
 
     dtype: Literal["float32", "float64"] = "float32"  # of model and training
-    finite_checks: bool = False  # stop at the first value that is not finite
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,11 +29,6 @@ class SpaceMask(nn.Module):
         super().__init__()
         self.register_buffer("grid", grid, persistent=False)
 
-    @property
-    def fraction(self) -> float:
-        """Share of contracted space in which density may be."""
-        return float(self.grid.double().mean())
-
     @torch.no_grad()
     def forward(self, points: Tensor) -> Tensor:
         n = self.grid.shape[0]

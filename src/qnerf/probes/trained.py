@@ -23,7 +23,7 @@ from qnerf.records.files import reporting
 from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
-from qnerf.training.state_checks import check_integer, check_like
+from qnerf.training.state_checks import check_shapes
 
 Key = TypeVar("Key")
 Seen = TypeVar("Seen")
@@ -50,8 +50,7 @@ class Trained:
             try:
                 checkpoint = load_archive(path)
                 step = checkpoint["step"]
-                check_integer("step", step, 0, steps)
-                check_like("model", checkpoint["model"], model.state_dict())
+                check_shapes("model", checkpoint["model"], model.state_dict())
             except (OSError, MemoryError):
                 raise
             except Exception as error:  # a damaged archive can raise anything

@@ -55,7 +55,7 @@ class Checkpoints:
     def load(self, check: Callable[[dict[str, Any]], None]) -> dict[str, Any] | None:
         """The newest checkpoint that can be read; None if none can. A damaged one is renamed, with a warning.
 
-        check: raises ValueError if the content does not belong to the run.
+        check: raises ValueError if the content does not belong to the run, or stumbles over what it does not expect.
 
         Raises:
             StoreError: the checkpoint does not belong to the run. All files stay as they are.
@@ -73,7 +73,7 @@ class Checkpoints:
                 with reporting(path):
                     path.rename(aside)
                 self._warn(f"{error}; set aside as {aside.name}; {self._onward(path)}")
-            except ValueError as error:
+            except (ValueError, LookupError, TypeError, AttributeError) as error:
                 advice = "delete it to try the checkpoint before, or do the run over with run.force=true"
                 raise StoreError(f"{path}: does not fit this run ({one_line(error)}); {advice}") from error
             else:

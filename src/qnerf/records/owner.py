@@ -7,8 +7,7 @@ cannot mistake a new owner for the dead one that it saw before.
 
 Is an owner alive? On this machine: if a process with the same pid and start time runs and is not a zombie. On another
 machine: if it wrote its last heartbeat less than `HEARTBEAT_LIMIT` ago by the clock of the file system, which is read
-from a file just written beside it. So no machine's own clock matters. An old heartbeat is watched for a while before
-the run is taken over.
+from a file just written beside it. So no machine's own clock matters.
 
 A writer checks that it still owns the run before every write and stops if it does not. One gap remains: a writer on
 another machine that froze for longer than the limit, exactly between this check and its rename, can still put one file
@@ -34,7 +33,6 @@ from qnerf.records.files import StoreError, create, read_json, remove_temporary_
 
 HEARTBEAT_INTERVAL = 3.0  # seconds between heartbeats
 HEARTBEAT_LIMIT = 180.0  # seconds; network file systems may show files a minute late
-WATCH_TIME = 4 * HEARTBEAT_INTERVAL  # seconds that an old heartbeat is watched before the run is taken over
 
 _HELD, _RELEASED = b'"released": false', b'"released": true '  # of equal length: the file is marked in place
 _FILE = re.compile(r"[0-9]{6}\.json")
@@ -122,17 +120,14 @@ class Ownership:
                 file.write(_RELEASED)  # in place: this must work on a full disk too
 
 
-def acquire(directory: Path, watch: float = WATCH_TIME) -> Ownership | OwnerInfo | None:
-    """Ownership of a run, or who owns it; None if its folder is gone.
-
-    watch: as in `living`.
-    """
+def acquire(directory: Path) -> Ownership | OwnerInfo | None:
+    """Ownership of a run, or who owns it; None if its folder is gone."""
     for _ in range(1000):
         with reporting(directory, "claim the run"):
             try:
                 (directory / "owner").mkdir(exist_ok=True)
                 number, before = latest(directory)
-                if (holder := living(directory, watch)) is not None:
+                if (holder := living(directory)) is not None:
                     return holder
                 ownership = create_owner(directory, number + 1)
                 if ownership is None:
@@ -173,11 +168,8 @@ def latest(directory: Path) -> tuple[int, dict[str, Any]]:
     return number, _read(_owner_file(directory, number))
 
 
-def living(directory: Path, watch: float = 0.0) -> OwnerInfo | None:
-    """The owner of a run; None if nobody owns it or its process is dead.
-
-    watch: for how many seconds an owner is watched for a sign of life if only its age says that it is dead.
-    """
+def living(directory: Path) -> OwnerInfo | None:
+    """The owner of a run; None if nobody owns it or its process is dead."""
     number, record = latest(directory)
     if number < 0 or record.get("released"):
         return None
@@ -186,15 +178,7 @@ def living(directory: Path, watch: float = 0.0) -> OwnerInfo | None:
     if running is False:
         return None
     holder = describe(directory)
-    if running:
-        return holder
-    first = _signs(directory)
-    end = time.monotonic() + watch
-    while holder.age_s > HEARTBEAT_LIMIT and time.monotonic() < end:
-        time.sleep(min(0.2, watch))
-        if _signs(directory) != first:
-            holder = OwnerInfo(holder.process, 0.0)
-    return holder if holder.age_s <= HEARTBEAT_LIMIT else None
+    return holder if running or holder.age_s <= HEARTBEAT_LIMIT else None
 
 
 def describe(directory: Path) -> OwnerInfo:
@@ -205,11 +189,6 @@ def describe(directory: Path) -> OwnerInfo:
         with contextlib.suppress(OSError):
             times.append(path.stat().st_mtime)
     return OwnerInfo(Process.from_record(record), _file_system_time(directory) - max(times))
-
-
-def _signs(directory: Path) -> tuple[Any, ...]:
-    # Reading a file makes a network file system look at it again.
-    return _read(directory / "status.json"), *latest(directory)
 
 
 def _file_system_time(directory: Path) -> float:

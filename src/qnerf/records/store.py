@@ -20,7 +20,7 @@ from qnerf.records.files import StoreError, json_bytes, remove_temporary_files, 
 from qnerf.records.location import RUN_ID, store_folder
 from qnerf.records.owner import OwnerInfo, Ownership
 from qnerf.records.parquet import encode
-from qnerf.records.read import metric_parts, part_name, read_evaluation, read_status, runs
+from qnerf.records.read import metric_parts, part_name, read_evaluation, read_status
 from qnerf.records.schemas import PROBES
 from qnerf.records.writer import EMPTY_PART, Run, running_status
 
@@ -45,19 +45,12 @@ class Claim:
 class RunStore:
     """A folder of runs, created at the first claim.
 
-    every: seconds between flushes and heartbeats. watch: how many seconds the old heartbeat of a writer on another
-    machine is watched before its run is taken over.
+    every: seconds between flushes and heartbeats.
     """
 
-    def __init__(
-        self, root: str | Path, *, every: float = owner.HEARTBEAT_INTERVAL, watch: float = owner.WATCH_TIME
-    ) -> None:
+    def __init__(self, root: str | Path, *, every: float = owner.HEARTBEAT_INTERVAL) -> None:
         self.root = store_folder(root)
         self.every = every
-        self.watch = watch
-
-    def runs(self) -> list[Path]:
-        return runs(self.root)
 
     def claim(
         self,
@@ -154,7 +147,7 @@ class RunStore:
             if _is_vacant(directory):
                 return None
             raise
-        return owner.acquire(directory, self.watch)
+        return owner.acquire(directory)
 
 
 def _is_vacant(directory: Path) -> bool:

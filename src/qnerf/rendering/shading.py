@@ -5,10 +5,9 @@ colour lie close together. Samples whose density was not evaluated have weight 0
 """
 
 from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import torch
-from annotated_types import Interval
 from torch import Tensor, nn
 
 from qnerf.config.bounds import Count
@@ -64,57 +63,6 @@ class EverySample(Shading):
 
     def chosen(self, shares: Tensor, evaluated: Tensor | None) -> Tensor | None:
         return evaluated
-
-
-class Selection(Shading):
-    """Some samples get a colour, at least one per ray that has any. They take over the weight of the others."""
-
-    def select(self, shares: Tensor) -> Tensor:
-        """Shares (R, K), -1 where a sample was not evaluated -> which samples get a colour (R, K)."""
-        raise NotImplementedError
-
-    def forward(self, shares: Tensor, geometry: Tensor, evaluated: Tensor | None = None) -> Shaded:
-        with torch.no_grad():
-            ranked = shares if evaluated is None else shares.masked_fill(~evaluated, -1)
-            mask = self.select(ranked) & (ranked >= 0)
-            mask = torch.where(mask.sum() < MIN_BATCH, ranked >= 0, mask)  # nearly all rays are empty
-        selected = shares * mask
-        total = shares.sum(-1, keepdim=True)
-        scale = total / selected.sum(-1, keepdim=True).clamp(min=torch.finfo(shares.dtype).tiny)
-        return Shaded(selected * scale, geometry, mask)
-
-
-@SHADINGS.register("threshold")
-class ThresholdShading(Selection):
-    """Samples whose share is at least `min_share`; the others of a ray sum to less than K `min_share`.
-
-    Args:
-        min_share: share of a ray's colour, 0 to 1.
-    """
-
-    def __init__(self, *, min_share: Annotated[float, Interval(ge=0, lt=1)] = 1e-3) -> None:
-        super().__init__()
-        self.min_share = min_share
-
-    def select(self, shares: Tensor) -> Tensor:
-        return shares >= shares.amax(-1, keepdim=True).clamp(max=self.min_share)
-
-
-@SHADINGS.register("top")
-class TopShading(Selection):
-    """The samples with the largest shares of each ray.
-
-    Args:
-        samples: number per ray.
-    """
-
-    def __init__(self, *, samples: Count = 8) -> None:
-        super().__init__()
-        self.samples = samples
-
-    def select(self, shares: Tensor) -> Tensor:
-        count = min(self.samples, shares.shape[-1])
-        return torch.zeros_like(shares, dtype=torch.bool).scatter_(-1, shares.topk(count, dim=-1).indices, True)
 
 
 @SHADINGS.register("merge")

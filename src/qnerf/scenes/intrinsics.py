@@ -25,7 +25,7 @@ CROP = "fisheye_crop_radius"  # nerfstudio's: pixels farther from the middle of 
 LENS = ("camera_model", "is_fisheye", *SIZE, *FOCAL, *CENTRE, *DISTORTION, "k3", "k4", "k5", "k6", CROP)
 """Keys of a frame, or of a whole transforms file, that decide its intrinsics."""
 FIELD_OF_VIEW = (2.0, 170.0)  # degrees, along the longer side of the image
-USUAL = (10.0, 150.0)  # degrees: a unit that gives such a field of view is the likely one
+UNITS = "fl_x and fl_y are in pixels of images of w x h pixels, camera_angle_x and camera_angle_y in radians"
 MAX_OFFSET = 1e3  # of the principal point from the image's corner, in longer sides of the image
 
 _short = reprlib.repr  # of what a file holds: never long, never deep
@@ -94,7 +94,7 @@ def focal_lengths(stated: Mapping[str, float], width: int, height: int) -> dict[
 
 
 def check_focal_lengths(stated: Mapping[str, float], width: int, height: int, label: str) -> None:
-    """ValueError if a focal length gives a field of view that no camera has; it says which unit it may be in.
+    """ValueError if a focal length gives a field of view that no camera has.
 
     width, height: of the image that the focal lengths are stated for.
     """
@@ -103,9 +103,7 @@ def check_focal_lengths(stated: Mapping[str, float], width: int, height: int, la
         if length is not None and length <= 0:
             raise ValueError(f"{label}: fl_{axis} must be above 0, got {length:g}")
         if length is None and angle is not None and not 0 < angle < math.pi:
-            unit = f"; it is in radians, and the number looks like degrees, which would be {math.radians(angle):.4g}"
-            degrees = unit if math.pi < angle < 180 else ""
-            raise ValueError(f"{label}: camera_angle_{axis} must be between 0 and pi, got {angle:g}{degrees}")
+            raise ValueError(f"{label}: camera_angle_{axis} must be between 0 and pi, got {angle:g}; {UNITS}")
     side = max(width, height)
     low, high = FIELD_OF_VIEW
     for axis, length in focal_lengths(stated, width, height).items():
@@ -114,34 +112,13 @@ def check_focal_lengths(stated: Mapping[str, float], width: int, height: int, la
             key = f"fl_{axis}" if f"fl_{axis}" in stated else f"camera_angle_{axis}"
             raise ValueError(
                 f"{label}: {key}={stated[key]:g} is a field of view of {view:.3g} degrees for an image of {width} x "
-                f"{height} pixels; expected {low:g} to {high:g}; {likely_unit(stated, key, width, height)}"
+                f"{height} pixels; expected {low:g} to {high:g}; {UNITS}"
             )
 
 
 def field_of_view(length: float, side: float) -> float:
     """Degrees across `side` pixels at a focal length in pixels."""
     return math.degrees(2 * math.atan2(side, 2 * length))
-
-
-def likely_unit(stated: Mapping[str, float], key: str, width: int, height: int) -> str:
-    """What the number under `key` may have been meant as, and how to write it instead."""
-    value, side = stated[key], max(width, height)
-    if key.startswith("camera_angle"):
-        return f"{key} is the angle across the whole image, in radians"
-
-    def usual(length: float) -> bool:
-        return USUAL[0] <= field_of_view(length, side) <= USUAL[1]
-
-    if field_of_view(value, side) < FIELD_OF_VIEW[0]:
-        return f"{key} is in pixels; if they are those of larger images, write the size of these as w and h"
-    if usual(value * width) and value < 4:
-        return f"{key} is in pixels; the number looks like image widths, which would be {value * width:g} pixels"
-    if usual(value / 36 * width):
-        return (
-            f"{key} is in pixels; the number looks like millimetres: multiply it by the width in pixels over the width "
-            f"of the sensor in millimetres; with 36 mm that is {value / 36 * width:g}"
-        )
-    return f"{key} is in pixels of the images"
 
 
 def intrinsics(stated: Mapping[str, float], width: int, height: int, label: str) -> list[float]:

@@ -3,7 +3,7 @@
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from qnerf.config.settings import Schedule
 from qnerf.kernels.adam import Update, adam
@@ -52,16 +52,3 @@ def _adam(optimiser: torch.optim.Optimizer, changed: list[tuple[dict[str, Any], 
         tensors = (one, one.grad, state["exp_avg"], state["exp_avg_sq"])
         updates.append(Update(tensors, group["lr"] / (1 - beta1**step), (1 - beta2**step) ** -0.5))  # type: ignore[arg-type]
     adam(updates, beta1, beta2, optimiser.defaults["eps"])
-
-
-def kept_of_a_parameter(train: Schedule) -> dict[str, bool]:
-    """What the optimiser keeps of each parameter after its first step: key -> whether it has the parameter's shape.
-
-    The rest are single numbers.
-    """
-    parameter = nn.Parameter(torch.zeros(2, 3))
-    optimiser = build_optimiser([{"params": [parameter], "name": "any"}], train)
-    parameter.grad = torch.zeros_like(parameter)
-    optimiser.step()
-    kept: dict[str, Tensor] = optimiser.state[parameter]
-    return {key: value.shape == parameter.shape for key, value in kept.items()}

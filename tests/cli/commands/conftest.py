@@ -50,7 +50,7 @@ Make = Callable[..., Path]
 def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     """`make("a-s0-1", end="finish", psnr=20.0, field="qcolor", seed=1)`: a run's folder."""
     monkeypatch.setattr("os.fsync", lambda _: None)  # no test here cuts the power
-    store = RunStore(tmp_path / "runs", every=60, watch=0.1)
+    store = RunStore(tmp_path / "runs", every=60)
 
     def made(name: str, end: str = "finish", psnr: float = 20.0, field: str = "qcolor", **options: Any) -> Path:
         columns = {"field": field, "encoder": "hash", "qiren": "1L2S", "scene": "poster"}

@@ -117,7 +117,7 @@ def columns(rows: Sequence[Row], extra: Sequence[str] = ()) -> list[Column]:
     if any(row.get("tags") for row in rows):
         usual.append(Column("tags", tags, rank=5, style=lambda row: "magenta"))
     if any(not missing(row.get("error")) for row in rows):
-        usual.append(Column("error", _cell("error"), rank=6, style=lambda row: "red", min_width=16, limit=60))
+        usual.append(Column("error", _cell("error"), rank=6, style=lambda row: "red", limit=60))
     return usual
 
 
@@ -166,7 +166,7 @@ def _heads(row: Row) -> str:
 
 
 COLUMNS = (
-    Column("id", lambda row: row["run_id"], min_width=14, tail=13, limit=255),
+    Column("id", lambda row: row["run_id"], limit=255),
     Column("state", lambda row: row["state"], style=lambda row: STATE_STYLES.get(row["state"], "")),
     Column("scene", _cell("scene_name"), rank=6),
     Column("field", _cell("field"), rank=1),
