@@ -186,9 +186,9 @@ def over_scenes(verdicts: Sequence[Verdict], *, sign: int = 1) -> list[Verdict]:
 def within_of(metric: str, asked: float | None = None) -> float:
     """`asked`, or the metric's own smallest difference that matters.
 
-    ValueError where neither is a positive number, or the metric is not measured on each view.
+    ValueError where neither is a positive number, or the metric is a size or a time.
     """
-    if metric_of(metric) not in quality_metrics():
+    if metric_of(metric).kind in ("size", "time"):
         known = ", ".join(item.key for item in quality_metrics())
         raise ValueError(f"{metric} is not measured for each view; such metrics are {known}")
     within = metric_of(metric).within if asked is None else asked

@@ -31,7 +31,7 @@ def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
         ValueError: nothing is left to search for a candidate, or `--space` names an option of none.
     """
     asked_for = replace(record, tuned={})  # also where a part of the study was searched before
-    trees = {name: configuration(asked_for.overrides(scene, name)) for name in record.question.candidates}
+    trees = {name: configuration(asked_for.words(scene, name)) for name in record.question.candidates}
     groups = [part for part in HEAD_GROUPS if len({json.dumps(tree.get(part)) for tree in trees.values()}) > 1]
     asked = dict(text.partition("=")[::2] for text in record.question.space)
     made = {}
@@ -58,7 +58,7 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
     for name, space in spaces(record, scene).items():
         if title(scene, name) in record.tuned:
             continue
-        overrides = record.overrides(scene, name)
+        overrides = record.words(scene, name)
         unseen = prepare(configuration(overrides)).task.tests_unseen
         overrides += [f"scene.validation={SHARE}"] * unseen
         tried = searched(record, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)

@@ -4,6 +4,7 @@ Tables, figures, the report and the command line read `METRICS`. A metric of hel
 `qnerf.training.image_metrics` under the same key.
 """
 
+import re
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -85,7 +86,8 @@ def metric_of(key: str) -> Metric:
 
     `eval/psnr` is the PSNR of an evaluation, `psnr @ 100 shots` the PSNR under that condition.
 
-    A column that is not declared is shown under its own name.
+    A column that is not declared is shown under its own name. Lower is better of one whose name says that it is a loss
+    or an error.
     """
     if key in METRICS:
         return METRICS[key]
@@ -94,10 +96,11 @@ def metric_of(key: str) -> Metric:
         return replace(METRICS[measured], key=key, label=f"{METRICS[measured].label}, {condition}")
     group, _, name = key.partition("/")
     if group not in _LOGGED or name not in METRICS:
-        return Metric(key, key)
+        return Metric(key, key, better="lower" if _LOSSES & set(re.split(r"[^a-z]+", key.lower())) else None)
     return replace(METRICS[name], key=key, label=f"{_LOGGED[group]} {METRICS[name].label}".strip())
 
 
+_LOSSES = {"loss", "error", "err", "mse", "rmse", "mae", "nll", "perplexity", "fid"}
 _LOGGED = {"train": "training", "validation": "validation", "eval": "evaluation", "time": ""}
 
 for _metric in (

@@ -113,8 +113,14 @@ class Trainings:
         self.asked.append((overrides, list(seeds)))
         name = next(item for item in overrides if item in VALUES)
         psnr = [VALUES[name] + 0.5 * np.sin(7 * n + len(name)) + 0.3 * np.cos(n * VALUES[name]) for n in seeds]
-        rows = {"psnr": psnr, "train_s": self.seconds, "step_cpu_ms": {"x=a": 10.0}.get(name, 20.0), "train.steps": 100}
-        return pd.DataFrame(rows)
+        rows = {
+            "psnr": psnr,
+            "state": "finished",
+            "train_s": self.seconds,
+            "step_cpu_ms": {"x=a": 10.0}.get(name, 20.0),
+            "train.steps": 100,
+        }
+        return pd.DataFrame(rows, index=[f"{' '.join(overrides)} {n}" for n in seeds])
 
 
 @pytest.fixture
@@ -232,8 +238,10 @@ def test_decide_refuses_what_a_study_cannot_honour(asked, message, tmp_path):
 
 
 def test_a_metric_that_the_runs_lack_is_named(trainings, tmp_path):
-    with pytest.raises(ValueError, match="x=a: its runs have no ssim; choose another --metric"):
+    with pytest.raises(ValueError, match=r"^x=a: no ssim; choose another --metric: psnr, train_s"):
         decide.main(["x=a", "x=b", "--metric", "ssim", "--store", str(tmp_path)])
+    with pytest.raises(ValueError, match=r"^--metric accuracy: measured by no run; known: psnr, "):
+        decide.main(["x=a", "x=b", "--metric", "accuracy", "--within", "1", "--store", str(tmp_path)])
 
 
 def test_several_candidates_race(trainings, tmp_path):
@@ -318,7 +326,7 @@ def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_pa
     record = Record(Question(SIRENS, ("scene=poster",), "field=classical", 0.5, tune=4), "x")
     tuning.tune(record, "scene=poster", tmp_path, [].append)
     assert [one["chosen"] for one in record.tuned.values()] == [["omega=2"], ["omega=2"]]  # omega=4 was not among three
-    assert record.overrides("scene=poster", SIRENS[1])[-1] == "omega=2"
+    assert record.words("scene=poster", SIRENS[1])[-1] == "omega=2"
     assert {one["seconds"] for one in record.tuned.values()} == {7 * 30.0}
     assert all(f"seed={TUNING[0]}" in overrides for overrides in asked)
     tuning.tune(record, "scene=poster", tmp_path, [].append)

@@ -28,7 +28,7 @@ WHOLE = dict.fromkeys(NUMBERS, "int")
 
 @contextlib.contextmanager
 def track(
-    config: Mapping[str, Any], *, name: str, store: str | Path = DEFAULT, force: bool = False
+    config: Mapping[str, Any], *, name: str, store: str | Path | None = None, force: bool = False
 ) -> "Iterator[Tracked]":
     """A run that logs, saves and resumes a loop of your own::
 
@@ -46,8 +46,8 @@ def track(
 
     config: nested plain values, which become columns of the run in every table. `scene` and `seed` mean what they mean
     in other runs. Another plain value is an option of the group `train`, such as `train.lr`, and so is a group with a
-    name of ours, such as `train.params.lr`. name: what is trained, the column `field`. store: the folder of the runs.
-    force: a finished or interrupted run is done over.
+    name of ours, such as `train.params.lr`. name: what is trained, the column `field`. store: the folder of the runs;
+    by default `runs`, or what `qnerf decide` says. force: a finished or interrupted run is done over.
 
     Raises:
         ValueError: the configuration holds something else than plain values, the store cannot be written, or another
@@ -56,7 +56,10 @@ def track(
     grouped = _grouped(config)
     run_id = f"{clean(name)}-{digest(grouped, name)}"
     named = {**grouped, "field": name}
-    claim = RunStore(store_folder(store).absolute()).claim(run_id, named, types=WHOLE, force=force)
+    folder = store_folder(store or os.environ.get("QNERF_STORE", DEFAULT)).absolute()
+    if told := os.environ.get("QNERF_TRACKED"):  # qnerf decide, which started this process, finds the run by it
+        Path(told).write_text(str(folder / run_id))
+    claim = RunStore(folder).claim(run_id, named, types=WHOLE, force=force)
     if claim.outcome == "busy":
         ranks = "; of several ranks one tracks, and hands state and next_step to the others" if _is_ranked() else ""
         raise StoreError(claim.message + ranks)
