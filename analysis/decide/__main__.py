@@ -22,7 +22,8 @@ from ..tables.differences import interval
 from ..verdict import verdict, within_of
 from .commands import is_command
 from .looks import FIRST, MOST, looks, planned, shares
-from .study import Question, Record, found, name_of, title, trained
+from .records import name_of, title
+from .study import Question, Record, found, trained
 from .tune import AGAIN, tune
 
 DESCRIPTION = """\

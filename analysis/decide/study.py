@@ -19,7 +19,7 @@ from qnerf.records.files import read_json, replace
 
 from ..load import runs
 from .commands import child, ended, is_command, run_of, train
-from .records import FOLDER
+from .records import FOLDER, name_of, title
 
 
 @dataclass(frozen=True)
@@ -124,16 +124,6 @@ class Record:
             return cls(**(read_json(path) | {"question": question})) if path.exists() else new
         except TypeError:
             raise ValueError(f"{path}: no record as this version writes it; move it away to begin anew") from None
-
-
-def name_of(scene: str) -> str:
-    """The name of a scene by its overrides: its folder's or, without one, its kind."""
-    values = dict(part.partition("=")[::2] for part in scene.split())
-    return Path(values.get("scene.path") or values.get("scene", scene)).name
-
-
-def title(scene: str, candidate: str) -> str:
-    return f"{name_of(scene)}: {candidate}" if scene else candidate
 
 
 def trained(

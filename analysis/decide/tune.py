@@ -16,7 +16,8 @@ from qnerf.config.settings import HEAD_GROUPS
 from qnerf.metrics import metric_of
 
 from ..selection import TUNING
-from .study import Record, found, started, title, trained
+from .records import title
+from .study import Record, found, started, trained
 
 SHARE = 0.1  # of the training views, held out for validation
 AGAIN = 3  # trials that are trained again with new seeds before one is chosen

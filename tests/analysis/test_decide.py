@@ -268,6 +268,7 @@ def test_the_record_is_written_before_the_first_run_and_keeps_later_budgets(trai
     trainings.stopped = 0
     with pytest.raises(KeyboardInterrupt):
         decide.main(["x=a", "x=b", "--budget", "1h", "--store", str(tmp_path)])
+    assert records(tmp_path)[["candidate", "seeds", "verdict"]].values.tolist() == [["x=b", 0, "no look yet"]]
     (path,) = tmp_path.glob(".decisions/*.json")
     first = json.loads(path.read_text())["registered"]
     for _ in range(2):
