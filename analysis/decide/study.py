@@ -21,6 +21,9 @@ from ..load import runs
 from .commands import child, ended, is_command, run_of, train
 from .records import FOLDER, name_of, title
 
+notes: set[str] = set()
+"""What trainings of this process have told already."""
+
 
 @dataclass(frozen=True)
 class Question:
@@ -149,12 +152,14 @@ def trained(
 def started(arguments: Sequence[str], foresee: Callable[[float], object]) -> None:
     """Trains what `qnerf run -m` with these arguments trains; `foresee` and errors as `trained` has them, but for runs
     that failed. Of what the trainings print, the run's folder and how long it takes stay; with Slurm, where its output
-    is."""
+    is; and notes, once each."""
     command = [sys.executable, "-m", "qnerf", "run", "-m", *arguments]
     with child(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():
-            if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to ", line):
+            if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to |note: ", line) and line not in notes:
                 print(line, end="", flush=True)
+            if line.startswith("note: "):
+                notes.add(line)
             if told := re.search(r"a step takes about .* the whole ([\d,.]+) hours", line):
                 foresee(3600 * float(told[1].replace(",", "")))
     if process.returncode not in (0, 1):  # 1: a job failed
