@@ -24,12 +24,9 @@ def records(store: str | Path) -> pd.DataFrame:
             asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
             steps = ", ".join(f"{name} {count}" for name, count in found["steps"].items())
             changes = "; ".join(f"budget {change['budget']:g} s at {change['time']}" for change in found["changes"])
-            study = {
-                "registered": found["registered"]["time"],
-                "changes": changes,
-                "searched": searched(found["tuned"]),
-            }
-            tables.append(last.assign(**asked, most=found["most"], steps=steps, **study))
+            study = {"registered": found["registered"]["time"], "changes": changes}
+            how = [searched(found["tuned"], look) for look in last.to_dict("records")]
+            tables.append(last.assign(**asked, most=found["most"], steps=steps, **study, searched=how))
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
@@ -58,11 +55,13 @@ def title(scene: str, candidate: str) -> str:
     return f"{name_of(scene)}: {candidate}" if scene else candidate
 
 
-def searched(tuned: Mapping[str, Mapping[str, Any]]) -> str:
-    """What a search chose for each candidate, after how many trials, and what it cost."""
-    texts = [
-        f"{name}: {', '.join(one['chosen'])} ({one['trials']} trials, {one['seconds'] / 60:.0f} minutes, expected best "
-        f"{one['expected'][0]:.4g} of 1, {one['expected'][-1]:.4g} of {len(one['expected'])})"
-        for name, one in tuned.items()
-    ]
+def searched(tuned: Mapping[str, Mapping[str, Any]], look: Mapping[Any, Any]) -> str:
+    """What a search chose for the two candidates of a look, after how many trials, and what it cost."""
+    texts = []
+    for candidate in (look["baseline"], look["candidate"]):
+        if one := tuned.get(f"{look['scene']}: {candidate}", tuned.get(candidate)):
+            chosen, best = ", ".join(one["chosen"]), one["expected"]
+            cost = f"{one['trials']} trials, {one['seconds'] / 60:.1f} minutes"
+            gain = f"expected best {best[0]:.4g} of 1, {best[-1]:.4g} of {len(best)}"
+            texts.append(f"{candidate}: {chosen} ({cost}, {gain})")
     return "; ".join(texts)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from qnerf.building.configuration import Configuration
 from qnerf.building.scene import prepare
 from qnerf.cli.compose import configuration
 from qnerf.cli.search import TRIALS
@@ -26,7 +27,7 @@ AGAIN = 3  # trials that are trained again with new seeds before one is chosen
 def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
     """Candidate -> option -> its values: of the heads in which the candidates differ, what conf/head says beside them.
 
-    An option that a candidate sets itself stays as it is. `--space` replaces values.
+    An option that a candidate sets itself stays as it is. `--space` replaces values, and adds options that act.
 
     Raises:
         ValueError: nothing is left to search for a candidate, or `--space` names an option of none.
@@ -37,14 +38,15 @@ def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
     asked = dict(text.partition("=")[::2] for text in record.question.space)
     made = {}
     for name, tree in trees.items():
-        fixed = {word.partition("=")[0].partition(".")[2] for word in name.split()}
-        made[name] = {
+        typed = {word.partition("=")[0] for word in name.split()}
+        own = {
             f"train.rates.{part}" if key == "rate" else f"{part}.{key}": values
             for part in groups
             for key, values in tree[part]["space"].items()
-            if key not in fixed and (key != "rate" or f"rates.{part}" not in fixed)
         }
-        made[name] |= {option: values for option, values in asked.items() if option in made[name]}
+        acting = {option.name for option in Configuration.of(tree).options}
+        own |= {option: values for option, values in asked.items() if option in {*own, *acting}}
+        made[name] = {key: own[key] for key in own if not {key, key.partition(".")[2]} & typed}
         if not made[name]:
             raise ValueError(f"{title(scene, name)}: --tune has nothing to search; give --space OPTION=VALUES")
     known = sorted({option for own in made.values() for option in own})

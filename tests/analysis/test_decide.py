@@ -285,14 +285,17 @@ SIRENS = ("color=mlp color.mlp.layers=3", "color=siren")
 
 
 def test_the_space_is_that_of_the_heads_in_which_candidates_differ():
-    question = Question(SIRENS, ("",), "field=classical", 0.5, tune=4, space=("color.siren.omega=5,10",))
+    question = Question(
+        SIRENS, ("",), "field=classical", 0.5, tune=4, space=("color.siren.omega=5,10", "color.mlp.width=8,16")
+    )
     found = spaces(Record(question, ""), "")
-    assert found[SIRENS[0]] == {"train.rates.color": "tag(log,interval(0.1,3))", "color.mlp.init": "torch,he"}
+    rate = {"train.rates.color": "tag(log,interval(0.1,3))"}
+    assert found[SIRENS[0]] == {**rate, "color.mlp.init": "torch,he", "color.mlp.width": "8,16"}
     assert found[SIRENS[1]]["color.siren.omega"] == "5,10"
     with pytest.raises(
-        ValueError, match=r"^--space density.mlp.width: searched in no candidate; known: color.mlp.init"
+        ValueError, match=r"^--space density.siren.omega: searched in no candidate; known: color.mlp.init"
     ):
-        spaces(Record(dataclasses.replace(question, space=("density.mlp.width=8",)), ""), "")
+        spaces(Record(dataclasses.replace(question, space=("density.siren.omega=8",)), ""), "")
 
 
 def test_every_head_has_a_space_of_five_options_at_most():
