@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -17,8 +18,10 @@ from qnerf.analysis.selection import TUNING
 from qnerf.analysis.verdict import fisher, verdict
 from scipy import stats
 
+from qnerf.building.model import parameter_counts
+from qnerf.building.scene import prepare
 from qnerf.heads import HEADS
-from tests.helpers.configs import composed, worked_out
+from tests.helpers.configs import MOMENT, composed, worked_out
 
 
 def test_looks_spend_five_percent_together():
@@ -296,6 +299,21 @@ def test_the_space_is_that_of_the_heads_in_which_candidates_differ():
         ValueError, match=r"^--space density.siren.omega: searched in no candidate; known: color.mlp.init"
     ):
         spaces(Record(dataclasses.replace(question, space=("density.siren.omega=8",)), ""), "")
+
+
+def test_depth_is_searched_with_the_width_that_keeps_the_number_of_parameters():
+    words = ("field=classical", *MOMENT)
+    found = spaces(Record(Question(("color=mlp", "color=qkan"), ("",), " ".join(words), 0.5, tune=4), ""), "")
+    for name in ("color.mlp", "color.qkan"):
+        pairs = found[name.replace(".", "=")][name]
+        counts = []
+        for layers, width in re.findall(r"layers:(\d+),width:(\d+)", pairs):
+            made = [f"{name.replace('.', '=')}", f"{name}.layers={layers}", f"{name}.width={width}"]
+            prepared = prepare(worked_out(*words, *made))
+            prepared.task.build(prepared.settings)
+            counts.append(parameter_counts(prepared.task.model)["params.color"])
+        assert len(counts) > 1
+        assert counts == pytest.approx([counts[0]] * len(counts), rel=0.1)
 
 
 def test_every_head_has_a_space_of_five_options_at_most():
