@@ -21,9 +21,9 @@ from ..selection import TUNING, colorless, measured
 from ..tables.differences import interval
 from ..verdict import verdict, within_of
 from .commands import is_command
-from .looks import FIRST, MOST, looks, planned, shares
+from .looks import FIRST, MOST, looks, shares
 from .records import name_of, title
-from .study import Question, Record, found, trained
+from .study import Question, Record, trained
 from .tune import AGAIN, tune
 
 DESCRIPTION = """\
@@ -39,7 +39,6 @@ EXAMPLES = """\
   {} field=classical field=qcolor --all "train.steps=500 hydra/launcher=joblib"
   {} density=mlp density=amplitude density=qiren --scene "scene=nerfstudio scene.path=FOX" --scene scene=poster
   {} field=classical field=qcolor --equal time
-  {} field=classical field=qcolor --plan
   {} "python train.py --model a" "python train.py --model b" --metric accuracy --within 0.01
 """
 CHOSEN = {
@@ -67,10 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise ValueError(f"--scene: expected scenes of different names, got {', '.join(names)}")
     store = Path(options.store)
     record = Record.of(question, store)
-    if options.plan:
-        plan(record, store)
-    else:
-        study(record, store, options.budget)
+    study(record, store, options.budget)
 
 
 def check(question: Question) -> None:
@@ -133,7 +129,6 @@ def parser() -> argparse.ArgumentParser:
         "--space", action="append", default=[], metavar="OPTION=VALUES",
         help="other values of a searched option, as those of a search",
     )  # fmt: skip
-    made.add_argument("--plan", action="store_true", help="instead: how many seeds and hours it may take")
     made.add_argument("--store", default=DEFAULT, metavar="DIR", help="folder of runs (default: %(default)s)")
     return made
 
@@ -144,29 +139,6 @@ def duration(text: str) -> float:
     if found is None or not float(found[1]):
         raise argparse.ArgumentTypeError(f"expected a time such as 90s, 30m, 2h or 1d, got {text!r:.40}")
     return float(found[1]) * UNITS[found[2]]
-
-
-def plan(record: Record, store: Path) -> None:
-    """Prints the range of seeds and hours that each comparison may take, from its finished runs."""
-    question = record.question
-    unit = metric_of(question.metric).unit
-    for scene in question.scenes:
-        pilots = {}
-        for name in question.candidates:
-            asked = record.words(scene, name)
-            pilots[name] = found(asked, range(MOST), store).query("state == 'finished'")
-            if len(pilots[name]) < 2:
-                advice = "the same command without --plan trains some; Ctrl-C stops it"
-                raise ValueError(f"{title(scene, name)}: a plan needs at least 2 finished runs; {advice}")
-        baseline, *others = question.candidates
-        for other in others:
-            one, two = (pilots[name][question.metric].dropna() for name in (baseline, other))
-            cost = sum(pilots[name]["train_s"].median() for name in (baseline, other))
-            for difference in (0.0, 2 * question.within):
-                low, high = planned(one, two, question.within, difference)
-                case = f"if they differ by {difference:g} {unit}".rstrip() if difference else "if they are equal"
-                hours = f"{low * cost / 3600:.2g} to {high * cost / 3600:.2g} hours of training"
-                print(f"{title(scene, other)} - {baseline}, {case}: {low} to {high} seeds each, {hours}")
 
 
 def study(record: Record, store: Path, budget: float) -> None:
