@@ -155,10 +155,15 @@ def study(record: Record, store: Path, budget: float) -> None:
     for scene, name in question.pairs if question.commands and not record.looks else ():
         runs_of(record, scene, name, [0, 1], store, foresee)  # shows at once what is wrong with a program
     after_trials = f", after {question.tune} trials each" if question.tune else ""
+    for scene in question.scenes:
+        measure(record, scene, store, foresee)
     while scenes := [scene for scene in question.scenes if len(record.open(scene)) > 1]:
         before = max((look["seeds"] for look in record.looks), default=0)
         count = next(n for n in looks(record.most or FIRST) if n > before)
-        frames = {scene: looked_at(record, scene, count, store, foresee) for scene in scenes}
+        frames = {
+            scene: {name: runs_of(record, scene, name, range(count), store, foresee) for name in record.open(scene)}
+            for scene in scenes
+        }
         cost = {(scene, name): run["train_s"].median() for scene in scenes for name, run in frames[scene].items()}
         if not record.most:
             record.most = most(budget, sum(cost.values()))
@@ -221,22 +226,11 @@ def measure(record: Record, scene: str, store: Path, foresee: Callable[[float], 
     record.save(store)
 
 
-def looked_at(
-    record: Record, scene: str, count: int, store: Path, foresee: Callable[[float], None]
-) -> dict[str, pd.DataFrame]:
-    """The runs of every candidate that is still in question."""
-    measure(record, scene, store, foresee)
-    frames = {name: runs_of(record, scene, name, range(count), store, foresee) for name in record.open(scene)}
-    for name, frame in frames.items():
-        if gone := int(colorless(frame).sum()):
-            print(f"{title(scene, name)}: {gone} of {len(frame)} runs are colourless: they show one colour, or nothing")
-    return frames
-
-
 def runs_of(
     record: Record, scene: str, name: str, seeds: Sequence[int], store: Path, foresee: Callable[[float], None]
 ) -> pd.DataFrame:
-    """The runs of a candidate; ValueError where they lack the metric, or one run stands for several seeds."""
+    """The runs of a candidate, which may be colourless; ValueError where they lack the metric, or one run stands for
+    several seeds."""
     metric = record.question.metric
     frame = trained(record.words(scene, name), seeds, store, foresee)
     foresee(frame["train_s"].median())
@@ -248,6 +242,8 @@ def runs_of(
     if twice := next((run for run in ids if ids.count(run) > 1), None):
         known = "its config lacks the seed, or what tells candidates apart"
         raise ValueError(f"{twice}: stands for several runs; {known}; mend the program, then `qnerf rm {twice}`")
+    if gone := int(colorless(frame).sum()):
+        print(f"{title(scene, name)}: {gone} of {len(frame)} runs are colourless: they show one colour, or nothing")
     return frame
 
 
