@@ -31,11 +31,13 @@ def verdicts(frame: pd.DataFrame, baseline: str | None = None) -> Verdicts:
     """What studies have decided, then `across_scenes` of every setting that differs, by default against the classical
     configuration."""
     decided: dict[str, list[tuple[str, ...]]] = defaultdict(list)
+    scenes = frame["scene_name"].dropna().unique()
+    unnamed = str(scenes[0]) if len(scenes) == 1 else "decided"  # of a study without --scene
     for look in records(Path(str(frame["path"].iloc[0])).parent).to_dict("records"):
         if look["seeds"]:
             name, unit = f"{look['candidate']} - {look['baseline']}", metric_of(look["metric"]).unit
             how = f"{look['seeds']} / {look['seeds']} seeds" + (f"; {look['searched']}" if look["searched"] else "")
-            decided[look["scene"] or "decided"].append((name, look["verdict"], f"{look['shown']} {unit}".rstrip(), how))
+            decided[look["scene"] or unnamed].append((name, look["verdict"], f"{look['shown']} {unit}".rstrip(), how))
     errors: dict[str, str] = {}
     with collecting(errors, "verdicts"):
         runs = select(frame).runs
