@@ -1,35 +1,31 @@
-"""A training loop of one's own as runs of a store, and as many seeds of it as a verdict takes.
+"""A training loop of one's own, as a run of a store like those that qnerf trains.
 
-    python examples/tracked.py
+    python examples/tracked.py --width 2
+    qnerf decide "python examples/tracked.py --width 2" "python examples/tracked.py --width 32"
 
-Two small networks learn a picture of stripes. `qnerf.track` keeps each training as a run: it resumes, and stands in
-`qnerf runs`, tables and pages beside qnerf's own. `qnerf decide` trains configurations of `qnerf run`; for a loop of
-one's own its rule is a few lines: look after 6, 9, 14, ... seeds, and spend a share of the 5 % at each look.
+A small network learns a picture of stripes. `qnerf.track` keeps each training as a run: it resumes, and stands in
+`qnerf runs`, tables and pages beside qnerf's own. `qnerf decide` starts the script with one seed after the other, in
+QNERF_SEED, until it is decided which width is better.
 """
 
 import argparse
-from pathlib import Path
+import os
 
 import torch
-from qnerf.analysis.decide.looks import looks, shares
-from qnerf.analysis.verdict import verdict
 from torch import nn
 
 import qnerf
 from qnerf.training.trainer import decibels
 
-WIDTHS = {"narrow": 2, "wide": 32}
 
-
-def train(name: str, seed: int, steps: int, store: Path) -> float:
-    """PSNR in dB of a run, which is trained, continued, or read if it is finished."""
+def train(width: int, seed: int, steps: int) -> None:
+    """Trains a run, or continues it, or leaves it as it is where it is finished."""
     torch.manual_seed(seed)
-    model = nn.Sequential(nn.Linear(1, WIDTHS[name]), nn.Tanh(), nn.Linear(WIDTHS[name], 1))
+    model = nn.Sequential(nn.Linear(1, width), nn.Tanh(), nn.Linear(width, 1))
     optimiser = torch.optim.Adam(model.parameters(), lr=0.1)
     x = torch.linspace(-1, 1, 64)[:, None]
     stripes = 0.5 + 0.5 * torch.sin(4 * x)
-    config = {"scene": "stripes", "seed": seed, "steps": steps, "width": WIDTHS[name]}
-    with qnerf.track(config, name=name, store=store) as run:
+    with qnerf.track({"scene": "stripes", "seed": seed, "steps": steps, "width": width}, name="stripes") as run:
         if run.state is not None:  # it was interrupted, or it is finished
             model.load_state_dict(run.state["model"])
             optimiser.load_state_dict(run.state["optimiser"])
@@ -41,25 +37,12 @@ def train(name: str, seed: int, steps: int, store: Path) -> float:
             run.log(step, {"train/loss": loss.item()})
             if step % 50 == 0 or step == steps:
                 run.save({"model": model.state_dict(), "optimiser": optimiser.state_dict()})
-        psnr = decibels((model(x) - stripes).square().mean().item())
-        run.finish(psnr=psnr)
-    return psnr
-
-
-def main(steps: int, store: Path, most: int = 9) -> str:
-    """The verdict on `wide` against `narrow`, with at most `most` seeds each."""
-    for seeds in looks(most):
-        narrow, wide = ([train(name, seed, steps, store) for seed in range(seeds)] for name in WIDTHS)
-        found = verdict(narrow, wide, within=0.5, alpha=shares(most)[seeds])
-        print(f"{seeds} seeds: wide - narrow: {found.difference:+.2f} ± {found.reach:.2f} dB, {found.text()}")
-        if found.kind != "undecided":
-            break
-    return found.kind
+        run.finish(psnr=decibels((model(x) - stripes).square().mean().item()))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--width", type=int, default=32)
     parser.add_argument("--steps", type=int, default=300)
-    parser.add_argument("--store", type=Path, default=Path("runs-of-the-example"))
     options = parser.parse_args()
-    main(options.steps, options.store)
+    train(options.width, int(os.environ.get("QNERF_SEED", 0)), options.steps)

@@ -4,8 +4,6 @@ import runpy
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from qnerf import records
 from tests.helpers.configs import MOMENT, ROOT, TINY
 from tests.helpers.processes import call
@@ -38,13 +36,3 @@ def test_own_head_is_trained_under_its_name_and_options(tmp_path: Path) -> None:
     (run,) = records.runs(tmp_path)
     summary = records.read_summary(run)
     assert (summary["color"], summary["color.products.rank"]) == ("products8x2", 8)
-
-
-def test_tracked_decides_with_six_seeds_and_trains_none_twice(tmp_path: Path) -> None:
-    assert example("tracked")["main"](200, tmp_path) == "better"
-    frame = pd.concat([pd.read_parquet(run / "summary.parquet") for run in records.runs(tmp_path)])
-    assert len(frame) == 12
-    assert set(frame["train.width"]) == {2, 32}
-    before = {run: (run / "summary.parquet").stat().st_mtime_ns for run in records.runs(tmp_path)}
-    assert example("tracked")["main"](200, tmp_path) == "better"
-    assert before == {run: (run / "summary.parquet").stat().st_mtime_ns for run in records.runs(tmp_path)}

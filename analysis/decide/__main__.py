@@ -12,31 +12,34 @@ import numpy as np
 import pandas as pd
 
 from qnerf.cli import compose
-from qnerf.metrics import metric_of
+from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records.location import DEFAULT
 from qnerf.training.forecast import announced
 
 from .. import command
-from ..selection import TUNING, colorless
+from ..selection import TUNING, colorless, measured
 from ..tables.differences import interval
 from ..verdict import verdict, within_of
-from .looks import FIRST, MOST, looks, planned, shares
-from .study import Question, Record, found, name_of, title, trained
+from .commands import is_command
+from .looks import FIRST, MOST, looks, shares
+from .records import name_of, title
+from .study import Question, Record, trained
 from .tune import AGAIN, tune
 
 DESCRIPTION = """\
 Trains seeds of each candidate until it is decided which is better, or that they are equivalent, or until the end of
-the budget. A candidate is a text of overrides, as of `qnerf run`; the first is the baseline. Several are raced: each is
-compared with the one that leads, and what is decided trains no more. Finished runs of the store count, and the same
-command goes on with what was stopped. No more than 5 % of such studies end with a wrong verdict, over all looks,
-candidates and scenes. The record stays in the store; `qnerf report` and `qnerf serve` show it.
+the budget. A candidate is a text of overrides, as of `qnerf run`, or a command of your own, which finds a seed in
+QNERF_SEED and tracks a run with it (docs/analysis.md); the first is the baseline. Several are raced: each is compared
+with the one that leads, and what is decided trains no more. Finished runs of the store count, and the same command goes
+on with what was stopped. No more than 5 % of such studies end with a wrong verdict, over all looks, candidates and
+scenes. The record stays in the store; `qnerf report` and `qnerf serve` show it.
 """
 EXAMPLES = """\
   {} field=classical field=qcolor --within 0.5 --budget 2h
   {} field=classical field=qcolor --all "train.steps=500 hydra/launcher=joblib"
   {} density=mlp density=amplitude density=qiren --scene "scene=nerfstudio scene.path=FOX" --scene scene=poster
   {} field=classical field=qcolor --equal time
-  {} field=classical field=qcolor --plan
+  {} "python train.py --model a" "python train.py --model b" --metric accuracy --within 0.01
 """
 CHOSEN = {
     "seed": "the study chooses the seeds, 0, 1, 2, ...; leave it out",
@@ -63,14 +66,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise ValueError(f"--scene: expected scenes of different names, got {', '.join(names)}")
     store = Path(options.store)
     record = Record.of(question, store)
-    if options.plan:
-        plan(record, store)
-    else:
-        study(record, store, options.budget)
+    study(record, store, options.budget)
 
 
 def check(question: Question) -> None:
-    """ValueError for an override that the study cannot honour, and for one that seems to be meant for all runs."""
+    """ValueError for what the study cannot honour, and for an override that seems to be meant for all runs."""
+    if question.commands:
+        if odd := [text for text in question.candidates if not is_command(text.split())]:
+            raise ValueError(f"{odd[0]}: expected a command, as the others are; for all it is --all {odd[0]}")
+        if question.tune or question.equal == "time":
+            raise ValueError("--tune and --equal time: expected candidates of `qnerf run`, whose options are known")
+        lower = metric_of(question.metric).sign < 0
+        print(f"{question.metric}: {'lower' if lower else 'higher'} is better")
+        return
+    if question.metric not in (known := [item.key for item in quality_metrics()]):
+        raise ValueError(f"--metric {question.metric}: measured by no run; known: {', '.join(known)}")
     places = {"a candidate": question.candidates, "--all": [question.common], "--scene": question.scenes}
     for place, texts in places.items():
         for override in (word for text in texts for word in text.split()):
@@ -91,12 +101,13 @@ def check(question: Question) -> None:
 def parser() -> argparse.ArgumentParser:
     made = command.parser("decide", DESCRIPTION, EXAMPLES)
     made.add_argument(
-        "candidates", nargs="+", metavar="OVERRIDES", help='such as field=qcolor or "color=qiren qiren.layers=2"'
-    )
+        "candidates", nargs="+", metavar="CANDIDATE",
+        help='such as field=qcolor, "color=qiren qiren.layers=2" or "python train.py --seed {seed}"',
+    )  # fmt: skip
     made.add_argument(
-        "--all", action="append", default=[], metavar="OVERRIDES", help="of every run, such as train.steps=500"
+        "--all", action="append", default=[], metavar="WORDS", help="of every run, such as train.steps=500"
     )
-    made.add_argument("--scene", action="append", metavar="OVERRIDES", help="a scene; several times for several scenes")
+    made.add_argument("--scene", action="append", metavar="WORDS", help="a scene; several times for several scenes")
     made.add_argument(
         "--within", type=float, metavar="DELTA",
         help="smallest difference that matters, in the metric's unit; default: 0.5 dB of PSNR",
@@ -118,7 +129,6 @@ def parser() -> argparse.ArgumentParser:
         "--space", action="append", default=[], metavar="OPTION=VALUES",
         help="other values of a searched option, as those of a search",
     )  # fmt: skip
-    made.add_argument("--plan", action="store_true", help="instead: how many seeds and hours it may take")
     made.add_argument("--store", default=DEFAULT, metavar="DIR", help="folder of runs (default: %(default)s)")
     return made
 
@@ -129,29 +139,6 @@ def duration(text: str) -> float:
     if found is None or not float(found[1]):
         raise argparse.ArgumentTypeError(f"expected a time such as 90s, 30m, 2h or 1d, got {text!r:.40}")
     return float(found[1]) * UNITS[found[2]]
-
-
-def plan(record: Record, store: Path) -> None:
-    """Prints the range of seeds and hours that each comparison may take, from its finished runs."""
-    question = record.question
-    unit = metric_of(question.metric).unit
-    for scene in question.scenes:
-        pilots = {}
-        for name in question.candidates:
-            asked = record.overrides(scene, name)
-            pilots[name] = found(asked, range(MOST), store).query("state == 'finished'")
-            if len(pilots[name]) < 2:
-                more = f"`qnerf run -m {' '.join(asked)} store={store} seed=0,1,2,3`"
-                raise ValueError(f"{title(scene, name)}: a plan needs at least 2 finished runs: {more}")
-        baseline, *others = question.candidates
-        for other in others:
-            one, two = (pilots[name][question.metric].dropna() for name in (baseline, other))
-            cost = sum(pilots[name]["train_s"].median() for name in (baseline, other))
-            for difference in (0.0, 2 * question.within):
-                low, high = planned(one, two, question.within, difference)
-                case = f"if they differ by {difference:g} {unit}".rstrip() if difference else "if they are equal"
-                hours = f"{low * cost / 3600:.2g} to {high * cost / 3600:.2g} hours of training"
-                print(f"{title(scene, other)} - {baseline}, {case}: {low} to {high} seeds each, {hours}")
 
 
 def study(record: Record, store: Path, budget: float) -> None:
@@ -165,11 +152,18 @@ def study(record: Record, store: Path, budget: float) -> None:
             record.steps = {
                 name: steps for name, steps in record.steps.items() if not name.startswith(title(scene, ""))
             }
+    for scene, name in question.pairs if question.commands and not record.looks else ():
+        runs_of(record, scene, name, [0, 1], store, foresee)  # shows at once what is wrong with a program
     after_trials = f", after {question.tune} trials each" if question.tune else ""
+    for scene in question.scenes:
+        measure(record, scene, store, foresee)
     while scenes := [scene for scene in question.scenes if len(record.open(scene)) > 1]:
         before = max((look["seeds"] for look in record.looks), default=0)
         count = next(n for n in looks(record.most or FIRST) if n > before)
-        frames = {scene: runs_of(record, scene, count, store, foresee) for scene in scenes}
+        frames = {
+            scene: {name: runs_of(record, scene, name, range(count), store, foresee) for name in record.open(scene)}
+            for scene in scenes
+        }
         cost = {(scene, name): run["train_s"].median() for scene in scenes for name, run in frames[scene].items()}
         if not record.most:
             record.most = most(budget, sum(cost.values()))
@@ -213,7 +207,7 @@ def foreseer(record: Record, budget: float) -> Callable[[float], None]:
             what += f" after {trials} trials of each"
             seeds += trials + len(TUNING[1:]) * min(AGAIN, trials)
         hours = max(budget / 3600, DAY)
-        if told := announced(what, seeds * cost, hours, "fewer candidates or train.steps take less", "--budget {}h"):
+        if told := announced(what, seeds * cost, hours, "fewer candidates or steps take less", "--budget {}h"):
             print(told, flush=True)
 
     return foresee
@@ -224,7 +218,7 @@ def measure(record: Record, scene: str, store: Path, foresee: Callable[[float], 
     names = record.question.candidates
     if record.question.equal != "time" or title(scene, names[0]) in record.steps:
         return
-    first = {name: trained(record.overrides(scene, name), [0], store, foresee).iloc[0] for name in names}
+    first = {name: trained(record.words(scene, name), [0], store, foresee).iloc[0] for name in names}
     dearest = max(run["step_cpu_ms"] for run in first.values())
     for name, run in first.items():
         steps = record.steps[title(scene, name)] = round(run["train.steps"] * dearest / run["step_cpu_ms"])
@@ -233,23 +227,24 @@ def measure(record: Record, scene: str, store: Path, foresee: Callable[[float], 
 
 
 def runs_of(
-    record: Record, scene: str, count: int, store: Path, foresee: Callable[[float], None]
-) -> dict[str, pd.DataFrame]:
-    """The runs of every candidate that is still in question."""
-    names = record.open(scene)
-    measure(record, scene, store, foresee)
-    frames = {}
-    for name in names:
-        frames[name] = frame = trained(record.overrides(scene, name), range(count), store, foresee)
-        foresee(frame["train_s"].median())
-        if record.question.metric not in frame:
-            raise ValueError(
-                f"{title(scene, name)}: its runs have no {record.question.metric}; choose another --metric"
-            )
-        record.runs[title(scene, name)] = list(map(str, frame.index))
-        if gone := int(colorless(frame).sum()):
-            print(f"{title(scene, name)}: {gone} of {len(frame)} runs are colourless: they show one colour, or nothing")
-    return frames
+    record: Record, scene: str, name: str, seeds: Sequence[int], store: Path, foresee: Callable[[float], None]
+) -> pd.DataFrame:
+    """The runs of a candidate, which may be colourless; ValueError where they lack the metric, or one run stands for
+    several seeds."""
+    metric = record.question.metric
+    frame = trained(record.words(scene, name), seeds, store, foresee)
+    foresee(frame["train_s"].median())
+    ended = frame[frame["state"].eq("finished")]
+    if len(ended) and metric not in (known := measured(ended)):
+        raise ValueError(f"{title(scene, name)}: no {metric}; choose another --metric: {', '.join(known)}")
+    record.runs[title(scene, name)] = list(map(str, frame.index))
+    ids = [run for own in record.runs.values() for run in own]
+    if twice := next((run for run in ids if ids.count(run) > 1), None):
+        known = "its config lacks the seed, or what tells candidates apart"
+        raise ValueError(f"{twice}: stands for several runs; {known}; mend the program, then `qnerf rm {twice}`")
+    if gone := int(colorless(frame).sum()):
+        print(f"{title(scene, name)}: {gone} of {len(frame)} runs are colourless: they show one colour, or nothing")
+    return frame
 
 
 def judged(

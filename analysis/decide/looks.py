@@ -5,18 +5,11 @@ no more than that is wrong wherever one stops. `most`, the last look, is fixed o
 """
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 
-import numpy as np
-from scipy import stats
-
-from ..verdict import ALPHA, TRIM, TRIMMED_FROM, pooled
+from ..verdict import ALPHA
 
 FIRST, MOST = 6, 20
-POWER, MARGIN, EFFICIENCY = 0.8, 1.15, 0.9
-"""Of the planner: the share of decided studies, how many more seeds several looks take than a single one, and how much
-a trimmed mean of normal runs loses against their mean."""
 
 
 def looks(most: int = MOST) -> list[int]:
@@ -34,29 +27,3 @@ def looks(most: int = MOST) -> list[int]:
 def shares(most: int = MOST) -> dict[int, float]:
     """Seeds of each look -> the error rate that it may spend; they add up to `ALPHA`."""
     return {after: ALPHA * (after**2 - before**2) / most**2 for before, after in pairwise([0, *looks(most)])}
-
-
-def seeds_needed(variances: np.ndarray, within: float, difference: float = 0.0) -> int:
-    """Seeds a side with which a true `difference` is decided in `POWER` of studies: as equivalent if it is 0."""
-    for count in range(TRIMMED_FROM, 1000):
-        error, freedom = pooled(variances / (EFFICIENCY * count), np.full(2, count - 2 * int(TRIM * count) - 1))
-        if difference:
-            power = stats.nct.sf(stats.t.ppf(1 - ALPHA / 2, freedom), freedom, abs(difference) / error)
-        else:
-            power = 2 * stats.t.cdf(within / error - stats.t.ppf(1 - ALPHA, freedom), freedom) - 1
-        if power >= POWER:
-            return math.ceil(MARGIN * count)
-    return 1000
-
-
-def planned(
-    baseline: Sequence[float], other: Sequence[float], within: float, difference: float = 0.0
-) -> tuple[int, int]:
-    """`seeds_needed` as a range: with both variances of the pilot runs at either end of their 80 % interval.
-
-    A few pilot runs say little about their spread, so the range is wide: that is what it is for.
-    """
-    squares = np.array([np.var(group, ddof=1) * (len(group) - 1) for group in (baseline, other)])
-    freedoms = np.array([len(baseline), len(other)]) - 1
-    low, high = (seeds_needed(squares / stats.chi2.ppf(share, freedoms), within, difference) for share in (0.9, 0.1))
-    return low, high

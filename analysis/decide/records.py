@@ -1,7 +1,7 @@
 """What was decided in a store, read without anything that trains."""
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,25 +19,49 @@ def records(store: str | Path) -> pd.DataFrame:
     for path in sorted(Path(store).glob(f"{FOLDER}/*.json")):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a damaged record is left out
             found = read_json(path)
-            looks = pd.DataFrame(found["looks"])
+            looks = pd.DataFrame([*found["looks"], *unseen(found)])
             last = looks[looks["ended"] | (looks["seeds"] == looks.groupby("scene")["seeds"].transform("max"))]
             asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
             steps = ", ".join(f"{name} {count}" for name, count in found["steps"].items())
             changes = "; ".join(f"budget {change['budget']:g} s at {change['time']}" for change in found["changes"])
-            study = {
-                "registered": found["registered"]["time"],
-                "changes": changes,
-                "searched": searched(found["tuned"]),
-            }
-            tables.append(last.assign(**asked, most=found["most"], steps=steps, **study))
+            study = {"registered": found["registered"]["time"], "changes": changes}
+            how = [searched(found["tuned"], look) for look in last.to_dict("records")]
+            tables.append(last.assign(**asked, most=found["most"], steps=steps, **study, searched=how))
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
-def searched(tuned: Mapping[str, Mapping[str, Any]]) -> str:
-    """What a search chose for each candidate, after how many trials, and what it cost."""
-    texts = [
-        f"{name}: {', '.join(one['chosen'])} ({one['trials']} trials, {one['seconds'] / 60:.0f} minutes, expected best "
-        f"{one['expected'][0]:.4g} of 1, {one['expected'][-1]:.4g} of {len(one['expected'])})"
-        for name, one in tuned.items()
-    ]
+def unseen(record: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """A row for each candidate of a scene at which nobody has looked yet."""
+    question = record["question"]
+    known = {look["scene"] for look in record["looks"]}
+    baseline, *others = question["candidates"]
+    for scene in question["scenes"]:
+        if name_of(scene) not in known:
+            own = [title(scene, name) for name in question["candidates"]]
+            done = sum(name in record["tuned"] for name in own)
+            verdict = f"no look yet; {done} of {len(own)} searched" if question["tune"] else "no look yet"
+            for name in others:
+                row = {"scene": name_of(scene), "seeds": 0, "baseline": baseline, "candidate": name}
+                yield row | {"verdict": verdict, "ended": False}
+
+
+def name_of(scene: str) -> str:
+    """The name of a scene by its overrides: its folder's or, without one, its kind."""
+    values = dict(part.partition("=")[::2] for part in scene.split())
+    return Path(values.get("scene.path") or values.get("scene", scene)).name
+
+
+def title(scene: str, candidate: str) -> str:
+    return f"{name_of(scene)}: {candidate}" if scene else candidate
+
+
+def searched(tuned: Mapping[str, Mapping[str, Any]], look: Mapping[Any, Any]) -> str:
+    """What a search chose for the two candidates of a look, after how many trials, and what it cost."""
+    texts = []
+    for candidate in (look["baseline"], look["candidate"]):
+        if one := tuned.get(f"{look['scene']}: {candidate}", tuned.get(candidate)):
+            chosen, best = ", ".join(one["chosen"]), one["expected"]
+            cost = f"{one['trials']} trials, {one['seconds'] / 60:.1f} minutes"
+            gain = f"expected best {best[0]:.4g} of 1, {best[-1]:.4g} of {len(best)}"
+            texts.append(f"{candidate}: {chosen} ({cost}, {gain})")
     return "; ".join(texts)

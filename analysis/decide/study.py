@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -17,12 +18,16 @@ from qnerf.cli.identify import run_ids
 from qnerf.records.files import read_json, replace
 
 from ..load import runs
-from .records import FOLDER
+from .commands import child, ended, is_command, run_of, train
+from .records import FOLDER, name_of, title
+
+notes: set[str] = set()
+"""What trainings of this process have told already."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is compared: the first candidate is the baseline. Each text holds overrides, as on the command line.
+    """What is compared: the first candidate is the baseline. Each text holds overrides, or a command of the user's own.
 
     scenes: overrides that choose a scene, one text a scene. equal: "steps", or "time" for equal CPU seconds. tune:
     trials of a search for each candidate before; 0: none. space: options with other values than those of the heads.
@@ -36,6 +41,11 @@ class Question:
     equal: str = "steps"
     tune: int = 0
     space: tuple[str, ...] = ()
+
+    @property
+    def commands(self) -> bool:
+        """Whether candidates are programs of the user's own."""
+        return any(is_command(text.split()) for text in self.candidates)
 
     @property
     def comparisons(self) -> int:
@@ -69,8 +79,10 @@ class Record:
     registered: dict[str, Any] = field(default_factory=dict)
     changes: list[dict[str, Any]] = field(default_factory=list)
 
-    def overrides(self, scene: str, candidate: str) -> list[str]:
-        """Of a run; `steps` come last, so that they hold."""
+    def words(self, scene: str, candidate: str) -> list[str]:
+        """Of a command, or the overrides of a run; `steps` come last, so that they hold."""
+        if is_command(candidate.split()):
+            return shlex.split(f"{candidate} {self.question.common} {scene}")
         steps = self.steps.get(title(scene, candidate))
         last = [f"train.steps={steps}"] if steps else []
         chosen = self.tuned.get(title(scene, candidate), {}).get("chosen", [])
@@ -101,10 +113,10 @@ class Record:
 
         ValueError where it is damaged, a configuration or a scene is not valid, or two candidates are the same.
         """
-        new, first = cls(question, ""), dict[str, str]()  # "scene: candidate" -> hash in the id of its run of seed 0
+        new, first = cls(question, ""), dict[str, str]()  # "scene: candidate" -> what tells it from others
         for scene, candidate in question.pairs:
-            name, (run,) = title(scene, candidate), run_ids(new.overrides(scene, candidate), [0], store)
-            digest = run.rpartition("-")[2]
+            name, words = title(scene, candidate), new.words(scene, candidate)
+            digest = shlex.join(words) if is_command(words) else run_ids(words, [0], store)[0].rpartition("-")[2]
             if same := next((other for other, known in first.items() if known == digest), None):
                 raise ValueError(f"{name}: the same configuration as {same}; leave one out")
             first[name] = digest
@@ -117,28 +129,20 @@ class Record:
             raise ValueError(f"{path}: no record as this version writes it; move it away to begin anew") from None
 
 
-def name_of(scene: str) -> str:
-    """The name of a scene by its overrides: its folder's or, without one, its kind."""
-    values = dict(part.partition("=")[::2] for part in scene.split())
-    return Path(values.get("scene.path") or values.get("scene", scene)).name
-
-
-def title(scene: str, candidate: str) -> str:
-    return f"{name_of(scene)}: {candidate}" if scene else candidate
-
-
 def trained(
-    overrides: Sequence[str], seeds: Sequence[int], store: Path, foresee: Callable[[float], object]
+    words: Sequence[str], seeds: Sequence[int], store: Path, foresee: Callable[[float], object]
 ) -> pd.DataFrame:
     """`found` after the runs that are not finished were trained, by any launcher; a run that diverged has no metric.
 
-    Of what the trainings print, the run's folder and how long it takes stay; with Slurm, where its output is.
-    foresee: gets the seconds that a run is going to take. What it raises, and what stops this process, stops the
-    trainings, too.
+    foresee: gets the seconds that a run is going to take, or took. What it raises, and what stops this process, stops
+    the trainings, too.
     ValueError where a run failed for another reason, KeyboardInterrupt where it was stopped.
     """
-    started([*overrides, f"store={store}", f"seed={','.join(map(str, seeds))}"], foresee)
-    frame = found(overrides, seeds, store)
+    if is_command(words):
+        train(words, seeds, store, foresee)
+    else:
+        started([*words, f"store={store}", f"seed={','.join(map(str, seeds))}"], foresee)
+    frame = found(words, seeds, store)
     diverged = frame["error"].astype(str).str.contains("diverged|not finite")
     for name in frame.index[frame["state"].ne("finished") & ~diverged]:
         raise ValueError(f"{name}: {frame.loc[name, 'state']}; `qnerf show {name}` says why")
@@ -147,27 +151,23 @@ def trained(
 
 def started(arguments: Sequence[str], foresee: Callable[[float], object]) -> None:
     """Trains what `qnerf run -m` with these arguments trains; `foresee` and errors as `trained` has them, but for runs
-    that failed."""
+    that failed. Of what the trainings print, the run's folder and how long it takes stay; with Slurm, where its output
+    is; and notes, once each."""
     command = [sys.executable, "-m", "qnerf", "run", "-m", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            for line in process.stdout or ():
-                if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to ", line):
-                    print(line, end="", flush=True)
-                if told := re.search(r"a step takes about .* the whole ([\d,.]+) hours", line):
-                    foresee(3600 * float(told[1].replace(",", "")))
-        except BaseException:
-            process.terminate()
-            process.wait()
-            raise
-    code = process.returncode
-    if code in (130, -2):
-        raise KeyboardInterrupt
-    if code not in (0, 1):  # 1: a job failed
-        raise ValueError(f"training ended with exit code {code}: {' '.join(command[3:])}")
+    with child(command, stdout=subprocess.PIPE, text=True) as process:
+        for line in process.stdout or ():
+            if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to |note: ", line) and line not in notes:
+                print(line, end="", flush=True)
+            if line.startswith("note: "):
+                notes.add(line)
+            if told := re.search(r"a step takes about .* the whole ([\d,.]+) hours", line):
+                foresee(3600 * float(told[1].replace(",", "")))
+    if process.returncode not in (0, 1):  # 1: a job failed
+        raise ended(process.returncode, " ".join(command[3:]))
 
 
-def found(overrides: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
+def found(words: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
     """The rows of these runs, as `load.runs` has them, in the order of the seeds; a missing run's are empty."""
-    frame = runs(store).set_index("run_id").reindex(run_ids(overrides, seeds, store))
+    own = [run_of(words, seed, store).name for seed in seeds] if is_command(words) else run_ids(words, seeds, store)
+    frame = runs(store).set_index("run_id").reindex(own)
     return frame.assign(error=frame.get("error"))

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from qnerf.building.configuration import Configuration
+from qnerf.building.model import parameter_counts
 from qnerf.building.scene import prepare
 from qnerf.cli.compose import configuration
 from qnerf.cli.search import TRIALS
@@ -16,34 +18,44 @@ from qnerf.config.settings import HEAD_GROUPS
 from qnerf.metrics import metric_of
 
 from ..selection import TUNING
-from .study import Record, found, started, title, trained
+from .records import title
+from .study import Record, found, started, trained
 
 SHARE = 0.1  # of the training views, held out for validation
+WIDTHS = (2, 4, 8)  # of heads that are built to count their parameters
 AGAIN = 3  # trials that are trained again with new seeds before one is chosen
 
 
 def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
     """Candidate -> option -> its values: of the heads in which the candidates differ, what conf/head says beside them.
 
-    An option that a candidate sets itself stays as it is. `--space` replaces values.
+    An option that a candidate sets itself stays as it is, and depth is searched with the width that keeps the number of
+    parameters. `--space` replaces values, and adds options that act.
 
     Raises:
         ValueError: nothing is left to search for a candidate, or `--space` names an option of none.
     """
     asked_for = replace(record, tuned={})  # also where a part of the study was searched before
-    trees = {name: configuration(asked_for.overrides(scene, name)) for name in record.question.candidates}
+    trees = {name: configuration(asked_for.words(scene, name)) for name in record.question.candidates}
     groups = [part for part in HEAD_GROUPS if len({json.dumps(tree.get(part)) for tree in trees.values()}) > 1]
     asked = dict(text.partition("=")[::2] for text in record.question.space)
     made = {}
     for name, tree in trees.items():
-        fixed = {word.partition("=")[0].partition(".")[2] for word in name.split()}
-        made[name] = {
+        typed = {word.partition("=")[0] for word in name.split()}
+        own = {
             f"train.rates.{part}" if key == "rate" else f"{part}.{key}": values
             for part in groups
             for key, values in tree[part]["space"].items()
-            if key not in fixed and (key != "rate" or f"rates.{part}" not in fixed)
         }
-        made[name] |= {option: values for option, values in asked.items() if option in made[name]}
+        for depth in [key for key in own if key.endswith(".layers")]:
+            part, head, _ = depth.split(".")
+            if "width" in tree[part][head]:  # one option of both, so that neither is searched where one is typed
+                values = own.pop(depth)
+                if not {f"{place}.{key}" for place in (f"{part}.{head}", head) for key in ("layers", "width")} & typed:
+                    own[f"{part}.{head}"] = balanced(asked_for.words(scene, name), part, head, values.split(","))
+        acting = {option.name for option in Configuration.of(tree).options}
+        own |= {option: values for option, values in asked.items() if option in {*own, *acting}}
+        made[name] = {key: own[key] for key in own if not {key, key.partition(".")[2]} & typed}
         if not made[name]:
             raise ValueError(f"{title(scene, name)}: --tune has nothing to search; give --space OPTION=VALUES")
     known = sorted({option for own in made.values() for option in own})
@@ -52,13 +64,32 @@ def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
     return made
 
 
+def balanced(words: Sequence[str], part: str, head: str, depths: Sequence[str]) -> str:
+    """Each depth of a head with the width that keeps its number of parameters, which is a polynomial of the width."""
+    first = prepare(configuration(words))
+
+    def count(**changed: object) -> int:
+        own = prepare(
+            configuration([*words, *(f"{part}.{head}.{key}={value}" for key, value in changed.items())]), first.source
+        )
+        own.task.build(own.settings)
+        return parameter_counts(own.task.model)[f"params.{part}"]
+
+    wanted, widths = count(), np.arange(1, 1025)
+    pairs = []
+    for layers in depths:
+        counts = np.polyval(np.polyfit(WIDTHS, [count(layers=layers, width=width) for width in WIDTHS], 2), widths)
+        pairs.append(f"{{layers:{layers},width:{widths[np.abs(counts - wanted).argmin()]}}}")
+    return ",".join(pairs)
+
+
 def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], object]) -> None:
     """Searches each candidate of the scene that was not searched yet; the record keeps what was chosen and its cost."""
     question = record.question
     for name, space in spaces(record, scene).items():
         if title(scene, name) in record.tuned:
             continue
-        overrides = record.overrides(scene, name)
+        overrides = record.words(scene, name)
         unseen = prepare(configuration(overrides)).task.tests_unseen
         overrides += [f"scene.validation={SHARE}"] * unseen
         tried = searched(record, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)

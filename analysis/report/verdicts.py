@@ -3,11 +3,13 @@
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pandas as pd
 
 from qnerf.metrics import metric_of
 
+from ..decide.records import records
 from ..figures.files import collecting
 from ..selection import classical_baseline, main_metric, row_keys, select
 from ..tables import across_scenes
@@ -17,7 +19,8 @@ MOST = 6  # configurations on a card
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Scene -> lines of configuration, verdict, difference and seeds; or why there are none."""
+    """Scene -> lines of configuration, verdict, difference, and seeds with how they were searched; or why there are
+    none."""
 
     cards: Mapping[str, list[tuple[str, ...]]] = field(default_factory=dict)
     note: str = ""
@@ -27,7 +30,16 @@ class Verdicts:
 def verdicts(
     frame: pd.DataFrame, baseline: str | None = None, metric: str | None = None, within: float | None = None
 ) -> Verdicts:
-    """`across_scenes` of every setting that differs, by default against the classical configuration."""
+    """What studies have decided, then `across_scenes` of every setting that differs, by default against the classical
+    configuration."""
+    decided: dict[str, list[tuple[str, ...]]] = defaultdict(list)
+    scenes = frame["scene_name"].dropna().unique()
+    unnamed = str(scenes[0]) if len(scenes) == 1 else "decided"  # of a study without --scene
+    for look in records(Path(str(frame["path"].iloc[0])).parent).to_dict("records"):
+        if look["seeds"]:
+            name, unit = f"{look['candidate']} - {look['baseline']}", metric_of(look["metric"]).unit
+            how = f"{look['seeds']} / {look['seeds']} seeds" + (f"; {look['searched']}" if look["searched"] else "")
+            decided[look["scene"] or unnamed].append((name, look["verdict"], f"{look['shown']} {unit}".rstrip(), how))
     errors: dict[str, str] = {}
     with collecting(errors, "verdicts"):
         metric = metric or main_metric(frame)
@@ -43,5 +55,6 @@ def verdicts(
                 )
         more = max(map(len, cards.values()), default=0) - MOST
         note = f"Of {more + MOST} configurations, the first {MOST} are here. " if more > 0 else ""
-        return Verdicts({scene: own[:MOST] for scene, own in cards.items()}, f"{note}{table.notes[0]}.")
-    return Verdicts(absent=f"No verdict: {errors['verdicts']}")
+        shown = {scene: decided.pop(scene, []) + own[:MOST] for scene, own in cards.items()}
+        return Verdicts(shown | decided, f"{note}{table.notes[0]}.")
+    return Verdicts(decided, absent="" if decided else f"No verdict: {errors['verdicts']}")

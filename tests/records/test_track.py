@@ -297,3 +297,24 @@ def test_numbers_may_be_numpy_s_and_pytorch_s_but_a_seed_is_whole(tmp_path: Path
             run.log(2, loss=1.0)
     assert (records.read_summary(run.path)["psnr"], records.read_summary(run.path)["seed"]) == (20.0, 1)
     assert qnerf.load("a-", store=tmp_path).eval()["ssim"].tolist() == [0.5]
+
+
+def test_a_run_says_who_it_is_and_what_to_type_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with qnerf.track({"seed": 0}, name="mine", store=tmp_path) as run:
+        assert repr(run) == f"<tracked run {run.id}, step 0, in {tmp_path}>"
+        run.finish(accuracy=93.25, params={"total": 12})
+    assert capsys.readouterr().out == f"{run.id}: finished, accuracy 93.25; qnerf show {run.id} --store {tmp_path}\n"
+    assert main.dispatch("show", [run.id, "--store", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "0 steps  started" in said
+    assert "held out   accuracy 93.25" in said
+    assert "all       93.25" in said
+
+
+def test_what_the_machine_does_is_logged_if_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("qnerf.records.track.SYSTEM_EVERY", 0.0)
+    for system in (False, True):
+        with qnerf.track({"seed": int(system)}, name="mine", store=tmp_path, system=system) as run:
+            run.log(1, loss=0.5)
+        logged = set(records.read_metrics(run.path)["key"])
+        assert logged == {"loss"} | {f"system/{key}" for key in ("cores", "memory_mb", "load") if system}

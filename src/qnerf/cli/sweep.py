@@ -16,7 +16,6 @@ import itertools
 import json
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -216,7 +215,7 @@ def announce(jobs: Sequence[Sequence[str]], configuration: Callable[[Sequence[st
     if len(jobs) <= COUNTED:
         print(f"{_count(len(jobs), 'job')}, {_count(len(different), 'different run')}", flush=True)
         if names := [option for option, everywhere in vain.items() if everywhere]:
-            print(f"note: no effect in any job: {', '.join(names)}", file=sys.stderr)
+            print(f"note: no effect in any job: {', '.join(names)}", flush=True)
 
 
 def _count(number: int, what: str) -> str:

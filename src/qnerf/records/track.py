@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shlex
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,13 +23,20 @@ from qnerf.records.writer import Run
 RESERVED = (*RESULT_GROUPS, "field", "hydra")
 """Names that mean something else in a store; a group of options that is called so is one of the group `train`."""
 
+SYSTEM_EVERY = 10.0  # seconds between two rows of what the machine does
+
 WHOLE = dict.fromkeys(NUMBERS, "int")
 """Options that are whole numbers in other runs, too. Any other number of a configuration is a float."""
 
 
 @contextlib.contextmanager
 def track(
-    config: Mapping[str, Any], *, name: str, store: str | Path = DEFAULT, force: bool = False
+    config: Mapping[str, Any],
+    *,
+    name: str,
+    store: str | Path | None = None,
+    force: bool = False,
+    system: bool = False,
 ) -> "Iterator[Tracked]":
     """A run that logs, saves and resumes a loop of your own::
 
@@ -46,8 +54,9 @@ def track(
 
     config: nested plain values, which become columns of the run in every table. `scene` and `seed` mean what they mean
     in other runs. Another plain value is an option of the group `train`, such as `train.lr`, and so is a group with a
-    name of ours, such as `train.params.lr`. name: what is trained, the column `field`. store: the folder of the runs.
-    force: a finished or interrupted run is done over.
+    name of ours, such as `train.params.lr`. name: what is trained, the column `field`. store: the folder of the runs;
+    by default `runs`, or what `qnerf decide` says. force: a finished or interrupted run is done over. system: `log`
+    adds, once in ten seconds, the cores that this process uses, its peak memory in MiB and the load of the machine.
 
     Raises:
         ValueError: the configuration holds something else than plain values, the store cannot be written, or another
@@ -56,7 +65,10 @@ def track(
     grouped = _grouped(config)
     run_id = f"{clean(name)}-{digest(grouped, name)}"
     named = {**grouped, "field": name}
-    claim = RunStore(store_folder(store).absolute()).claim(run_id, named, types=WHOLE, force=force)
+    folder = store_folder(store or os.environ.get("QNERF_STORE", DEFAULT)).absolute()
+    if told := os.environ.get("QNERF_TRACKED"):  # qnerf decide, which started this process, finds the run by it
+        Path(told).write_text(str(folder / run_id))
+    claim = RunStore(folder).claim(run_id, named, types=WHOLE, force=force)
     if claim.outcome == "busy":
         ranks = "; of several ranks one tracks, and hands state and next_step to the others" if _is_ranked() else ""
         raise StoreError(claim.message + ranks)
@@ -66,7 +78,7 @@ def track(
         return
     with claim.run as record:
         record.write_environment(capture(config.get("seed"), Path.cwd()), dirty_diff(Path.cwd()))
-        tracked = Tracked(claim.dir, record, record.go_on(_check, by="seconds") if record.resumed else None)
+        tracked = Tracked(claim.dir, record, record.go_on(_check, by="seconds") if record.resumed else None, system)
         yield tracked
     if tracked.record is not None:
         tracked.record, tracked.closed = None, True
@@ -75,14 +87,16 @@ def track(
 class Tracked:
     """What `track` gives.
 
-    path: the run's folder. state: what was saved last, or None. next_step: the step to go on with. record: writes what
-    else a run may have, such as `record.save_image(name, array)` and `record.write_eval(rows)`; None if the run is
-    finished.
+    id, path: the run's name, and its folder. state: what was saved last, or None. next_step: the step to go on with.
+    record: writes what else a run may have, such as `record.save_image(name, array)` and `record.write_eval(rows)`;
+    None if the run is finished.
     """
 
-    def __init__(self, path: Path, record: Run | None, checkpoint: Mapping[str, Any] | None) -> None:
+    def __init__(
+        self, path: Path, record: Run | None, checkpoint: Mapping[str, Any] | None, system: bool = False
+    ) -> None:
         saved = checkpoint or {"step": 0, "seconds": 0.0, "state": None}
-        self.path, self.record, self.state = path, record, saved["state"]
+        self.id, self.path, self.record, self.state = path.name, path, record, saved["state"]
         self.closed = False
         self.next_step: int = saved["step"] + 1
         self._step: int = saved["step"]
@@ -90,6 +104,11 @@ class Tracked:
         self._logged = 0
         self._saved: float | None = None  # seconds at the save of this step
         self._start = time.perf_counter() - saved["seconds"]
+        self._watch = (time.perf_counter(), time.process_time()) if system else None
+
+    def __repr__(self) -> str:
+        what = "finished" if self.record is None and not self.closed else f"step {self._step}"
+        return f"<tracked run {self.id}, {what}, in {self.path.parent}>"
 
     @property
     def seconds(self) -> float:
@@ -119,7 +138,9 @@ class Tracked:
         """
         # A row after the save of its step is of that step, which will not be done again.
         seconds = self.seconds if self._saved is None else self._saved
-        self._writer().log(step, seconds, {**(values or {}), **more}, done=self._step if self._counts else None)
+        self._writer().log(
+            step, seconds, {**(values or {}), **more, **self._system()}, done=self._step if self._counts else None
+        )
         self._logged = int(step)
 
     def save(self, state: Any) -> None:
@@ -150,12 +171,27 @@ class Tracked:
         measured = plain({**(results or {}), **more}, "summary")
         for key in measured:
             check_result(key, record.config)
+        numbers = {key: value for key, value in measured.items() if is_number(value) and _is_quality(key)}
         if read_evaluation(self.path).empty:
-            numbers = {key: value for key, value in measured.items() if is_number(value) and _is_quality(key)}
             record.write_eval([{"image": "all", **numbers}])
         steps = self._step if self._counts else self._logged
         record.finish({"steps": steps, "train_s": self.seconds, **measured})
         self.record = None
+        told = "".join(f", {metric_of(key).label} {metric_of(key).with_unit(value)}" for key, value in numbers.items())
+        print(f"{self.id}: finished{told}; qnerf show {self.id} --store {shlex.quote(str(self.path.parent))}")
+
+    def _system(self) -> dict[str, float]:
+        """What this process and its machine were doing since the last call that said so."""
+        if self._watch is None or (wall := time.perf_counter() - self._watch[0]) < SYSTEM_EVERY:
+            return {}
+        import torch
+
+        from qnerf.timing import load, peak_memory_mb
+
+        cores = (time.process_time() - self._watch[1]) / wall
+        self._watch = time.perf_counter(), time.process_time()
+        memory = peak_memory_mb(torch.device("cuda" if torch.cuda.is_available() else "cpu"))
+        return {"system/cores": cores, "system/memory_mb": memory, "system/load": load()}
 
     def _writer(self) -> Run:
         if self.closed:

@@ -12,11 +12,13 @@ from rich.text import Text
 from qnerf.cli.commands import add_run
 from qnerf.cli.table import Column, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, styled
+from qnerf.config.checks import is_number
 from qnerf.config.identity import flatten
-from qnerf.metrics import metric_of, quality_metrics
+from qnerf.metrics import Metric, metric_of, quality_metrics
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.printable import printable
+from qnerf.records.schemas import known_kind
 
 Run = dict[str, Any]
 """What `details.read` gives."""
@@ -69,7 +71,7 @@ def state_line(run: Run) -> Text:
     """`finished  1,500 of 1,500 steps  started 12m ago on HOST, process 12`"""
     line = styled(run["state"], STATE_STYLES.get(run["state"], ""))
     status, steps = run["status"], flatten(run["config"]).get("train.steps")
-    line.append(f"  {count(run['step'])} of {count(steps)} steps")
+    line.append(f"  {count(run['step'])}{'' if steps is None else f' of {count(steps)}'} steps")
     if "created" in status:
         line.append(f"  started {age(status['created'])} ago")
     if run["state"] == "running":
@@ -86,7 +88,7 @@ def _results(out: Console, run: Run) -> None:
 
 def results(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Title and text of what a summary says: quality, parameters, times."""
-    metrics = [item for item in quality_metrics() if not missing(values.get(item.key))]
+    metrics = [item for item in (*quality_metrics(), *_own_metrics(values)) if not missing(values.get(item.key))]
     if metrics:
         texts = [f"{item.label} {measured(values[item.key], item, unit=True)}" for item in metrics]
         views = "" if missing(values.get("eval_views")) else f"views {count(values['eval_views'])}"
@@ -106,12 +108,18 @@ def results(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "per step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms"
 
 
+def _own_metrics(values: Mapping[str, Any]) -> list[Metric]:
+    """The numbers of a tracked run's `finish` that nobody declared."""
+    return [metric_of(key) for key, value in values.items() if known_kind(key) is None and is_number(value)]
+
+
 def _views(out: Console, run: Run) -> None:
     views = run["evaluation"]
     if not views:
         return
     _section(out, f"held-out views after step {count(views[0]['step'])}")
-    metrics = [item for item in quality_metrics() if not all(missing(view.get(item.key)) for view in views)]
+    known = (*quality_metrics(), *_own_metrics(views[0]))
+    metrics = [item for item in known if not all(missing(view.get(item.key)) for view in views)]
     columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, metrics)]
     print_table(out, columns, views)
 
