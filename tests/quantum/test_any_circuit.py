@@ -45,6 +45,7 @@ MIXED = Circuit(
         Gate("Rot", (2,), (W[0, 2], W[1, 0] * W[1, 1], feature(1))),
         Gate("SWAP", (0, 1)),
         Gate("MultiRZ", (0, 1, 2), (W[1, 2],)),
+        Gate("RY", (1,), (W[1, 0],)),
         Gate("SX", (1,)),
     ),
     observables=(

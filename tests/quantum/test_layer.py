@@ -64,7 +64,7 @@ def test_methods_agree_through_one_checkpoint() -> None:
 def test_auto_picks_by_cost() -> None:
     assert QuantumLayer(8, 1).cost(6144).method == "lightcone"
     assert QuantumLayer(8, 1).cost(4).method == "statevector"  # a few samples do not pay for the grid
-    assert QuantumLayer(1, 3).cost(60000).method == "lightcone"
+    assert QuantumLayer(1, 3).cost(80000).method == "lightcone"
     cost = QuantumLayer(8, 2).cost(6144)
     assert cost.method == "statevector"
     assert "depends on 8 inputs" in cost.reason

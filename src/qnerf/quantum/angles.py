@@ -9,7 +9,7 @@ from torch import Tensor
 
 from qnerf.quantum.blocks import Diagonal, Turn, rotations_of
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import Program
+from qnerf.quantum.program import PRODUCTS, Factors, Program
 from qnerf.quantum.words import Word
 
 
@@ -96,6 +96,45 @@ class Inputs:
         return x if self.table is None else self.table(x, weights)
 
 
+_LEFT = np.array([
+    [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]],
+    [[0, 0, -1, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, -1, 0, 0]],
+    [[0, 0, 0, -1], [0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0]],
+], dtype=np.float64)  # fmt: skip
+"""-iX, -iY and -iZ on the left of w - i(x X + y Y + z Z), as matrices on (w, x, y, z)."""
+
+
+class Products:
+    """Products of rotations of one wire as RZ(omega) RY(theta) RX(xi) RZ(phi), up to a sign.
+
+    Where theta is 0, phi and omega are one angle, and their derivatives would not exist. So omega is a number, without
+    derivatives, that makes xi zero. The other three angles have derivatives of all orders. Those of xi are not zero.
+    """
+
+    def __init__(self, products: Sequence[Factors], parameters: dict[str, tuple[int, ...]]) -> None:
+        longest = max(map(len, products))
+        factors = [(*own, *[(Word(0, 1, 0), Expression())] * (longest - len(own))) for own in products]
+        self.table = ExpressionTable([angle for own in factors for _, angle in own], parameters, fixed=True)
+        self.left = np.array([[_LEFT[0 if not word.z else 1 if word.x else 2] for word, _ in own] for own in factors])
+
+    def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
+        """phi, theta, xi and omega of each product, flat, float64."""
+        left = torch.from_numpy(self.left).to(weights.device)
+        half = self.table(x, weights).reshape(*left.shape[:2], 1, 1) / 2
+        steps = half.cos() * torch.eye(4, dtype=left.dtype, device=left.device) + half.sin() * left
+        product = steps[:, 0, :, :1]
+        for place in range(1, steps.shape[1]):
+            product = steps[:, place] @ product
+        w, x_, y, z = product[..., 0].unbind(1)
+        omega = (torch.atan2(z, w) + torch.atan2(-x_, y)).detach()
+        c, s = (omega / 2).cos(), (omega / 2).sin()
+        w, x_, y, z = c * w + s * z, c * x_ + s * y, c * y - s * x_, c * z - s * w
+        phi = torch.atan2(2 * (w * z + x_ * y), w * w + y * y - x_ * x_ - z * z)
+        theta = torch.atan2(2 * (w * y + x_ * z), w * w + z * z - x_ * x_ - y * y)
+        xi = torch.asin(2 * (w * x_ - y * z))
+        return torch.stack([phi, theta, xi, omega], 1).flatten()
+
+
 class Angles:
     """The angles of a program: the different ones, and which of them each rotation has.
 
@@ -127,7 +166,9 @@ class Angles:
                 ))  # fmt: skip
             self.rotations.append(rows)
             self.phases.append(constant_phases(constants, program.wires) if constants else None)
-        self.fixed = ExpressionTable(list(fixed), parameters, fixed=True)
+        products = program.products
+        self._products = Products(products, parameters) if products else None
+        self._fixed = ExpressionTable(list(fixed), parameters | {PRODUCTS: (4 * len(products),)}, fixed=True)
         self.inputs = Inputs(list(moving), parameters)
         used = [*fixed, *moving, *(Expression.of(value) for part in program.start for value in part.angles)]
         self.takes_all = (
@@ -135,6 +176,12 @@ class Angles:
             and any(angle.features for angle in used)
             and any(angle.weights for angle in used)
         )
+
+    def fixed(self, x: Tensor, weights: Tensor) -> Tensor:
+        """The fixed angles (1, F) for flat weights."""
+        if self._products is not None:
+            weights = torch.cat([weights.double(), self._products(x, weights)])
+        return self._fixed(x, weights)
 
 
 def constant_phases(angles: dict[int, float], wires: int) -> np.ndarray:

@@ -8,7 +8,7 @@ On a GPU, what lies between two blocks of data is one matrix (`dense`): the bloc
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from math import frexp
 from typing import Any
 
@@ -20,7 +20,7 @@ from torch.utils.checkpoint import checkpoint
 from qnerf.kernels import is_transformed
 from qnerf.quantum.angles import Angles, ExpressionTable
 from qnerf.quantum.basis import bit, cnot_permutation, z_signs
-from qnerf.quantum.blocks import CNOTs, Diagonal, Turn, moves
+from qnerf.quantum.blocks import CNOTs, Diagonal, Tilts, Turn, moves
 from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.program import Program, program
@@ -129,7 +129,8 @@ class PlainCircuit:
             torch.nn.functional.pad(part, (0, 0, 0, 1), value=none)
             for part, none in zip(still, (1.0, 0.0), strict=True)
         )
-        return _apply_ry(state, *(picked(part, index, 0) for part in padded))
+        cosine, sine = (picked(part, index, 0)[:, 0] for part in padded)
+        return _apply_layer(state, cosine, sine, isinstance(block, Tilts))
 
     def fixed_phases(self, place: int, state: Tensor, still: Turns) -> Tensor:
         """The states behind the part of a diagonal that does not depend on the input."""
@@ -260,17 +261,17 @@ def _phases(rows: list[tuple[int, int]], turns: Turns, n: int) -> Tensor:
     return phases
 
 
-def _apply_ry(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
-    pairs = torch.view_as_real(state.contiguous())
-    for first in range(0, len(cosine), GROUP):
-        group = range(first, min(first + GROUP, len(cosine)))
-        matrix = torch.ones(1, 1, dtype=cosine.dtype, device=cosine.device)
-        for wire in group:
-            c, s = cosine[wire, 0], sine[wire, 0]
-            matrix = torch.kron(matrix, torch.stack([torch.stack([c, -s]), torch.stack([s, c])]))
-        view = pairs.reshape(2**first, 2 ** len(group), -1)
-        pairs = torch.matmul(matrix, view).reshape(pairs.shape)
-    return torch.view_as_complex(pairs)
+def _apply_layer(state: Tensor, cosine: Tensor, sine: Tensor, about_x: bool) -> Tensor:
+    """Rotations about Y, or about X, on every wire, with cosine and sine (n,) of half the angles."""
+    if about_x:
+        cosine, sine = cosine.to(state.dtype), -1j * sine
+    single = torch.stack([cosine, sine if about_x else -sine, sine, cosine], 1).reshape(-1, 2, 2)
+    amplitudes = state if about_x else torch.view_as_real(state.contiguous())
+    for first in range(0, len(single), GROUP):
+        matrix = reduce(torch.kron, single[first : first + GROUP])
+        view = amplitudes.reshape(2**first, len(matrix), -1)
+        amplitudes = torch.matmul(matrix, view).reshape(amplitudes.shape)
+    return amplitudes if about_x else torch.view_as_complex(amplitudes)
 
 
 def table(

@@ -9,32 +9,37 @@ from typing import Any
 
 from qnerf.kernels.simd import inner, keep_apart, load, splat, store
 from qnerf.quantum.compiled.forward_passes import walsh, z_sums
-from qnerf.quantum.compiled.wire_blocks import add_x_block, ry_gradient_block
+from qnerf.quantum.compiled.wire_blocks import add_x_block, gradient_block
 
 LOW = 5  # wires whose amplitudes (2^LOW vectors of two states) stay in the first-level cache
 
 
 @inner
-def _ry_gradient_group(
-    x: Any, state: int, adjoint: int, outer: int, distance: int, size: int, width: int, zeros: Any, out: int
-) -> None:
+def _gradient_group(
+    x: Any, state: int, adjoint: int, outer: int, distance: int, size: int, width: int, about_x: bool, zeros: Any,
+    out: int,
+) -> None:  # fmt: skip
     """Adds the gradients of a few neighbouring wires to the vectors at `out`."""
     keep_apart()
     real, imaginary = zeros, zeros
+    first, second = (state + size, state) if about_x else (state, state + size)
     # The loops are as in `forward_passes.ry_layer`. For each wire one sum of adjoint_1 state_0 and one of adjoint_0
-    # state_1 stay in registers; their difference is the gradient.
+    # state_1 stay in registers.
     span = distance << (len(zeros) >> 1)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
-            real = ry_gradient_block(x, state + i, adjoint + i, distance, real)
-            imaginary = ry_gradient_block(x, state + i + size, adjoint + i + size, distance, imaginary)
+            real = gradient_block(x, first + i, adjoint + i, distance, real)
+            imaginary = gradient_block(x, second + i, adjoint + i + size, distance, imaginary)
+    sign = splat(x.dtype.type(-1 if about_x else 1))
     for j in range(len(zeros) >> 1):
-        value = (real[2 * j] - real[2 * j + 1]) + (imaginary[2 * j] - imaginary[2 * j + 1])
+        value = (real[2 * j] - imaginary[2 * j + 1]) + sign * (imaginary[2 * j] - real[2 * j + 1])
         store(x, out + j * width, load(x, out + j * width) + value)
 
 
 @inner
-def _ry_gradients(x: Any, state: int, adjoint: int, wires: int, below: int, size: int, width: int, out: int) -> None:
+def _gradients(
+    x: Any, state: int, adjoint: int, wires: int, below: int, size: int, width: int, about_x: bool, out: int
+) -> None:
     """Adds the gradients of `wires` neighbouring wires with `below` less significant ones."""
     keep_apart()
     zero = splat(x.dtype.type(0))
@@ -42,23 +47,22 @@ def _ry_gradients(x: Any, state: int, adjoint: int, wires: int, below: int, size
     j = 0
     while wires - j >= 3:
         six = (zero, zero, zero, zero, zero, zero)
-        _ry_gradient_group(
-            x, state, adjoint, 1 << j, width << (below + wires - j - 3), size, width, six, out + j * width
-        )
+        distance = width << (below + wires - j - 3)
+        _gradient_group(x, state, adjoint, 1 << j, distance, size, width, about_x, six, out + j * width)
         j += 3
+    distance, out = width << below, out + j * width
     if wires - j == 2:
-        _ry_gradient_group(
-            x, state, adjoint, 1 << j, width << below, size, width, (zero, zero, zero, zero), out + j * width
-        )
+        _gradient_group(x, state, adjoint, 1 << j, distance, size, width, about_x, (zero, zero, zero, zero), out)
     elif wires - j == 1:
-        _ry_gradient_group(x, state, adjoint, 1 << j, width << below, size, width, (zero, zero), out + j * width)
+        _gradient_group(x, state, adjoint, 1 << j, distance, size, width, about_x, (zero, zero), out)
 
 
 @inner
-def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int) -> None:
-    """Gradients of an RY layer, one vector for each wire at `out`.
+def layer_gradients(x: Any, state: int, adjoint: int, n: int, width: int, about_x: bool, out: int) -> None:
+    """Gradients of rotations about Y on every wire, or about X, one vector for each wire at `out`.
 
-    Each is the sum over pairs of Re(conj(adjoint_1) state_0 - conj(adjoint_0) state_1).
+    Each is a sum over pairs: Re(conj(adjoint_1) state_0 - conj(adjoint_0) state_1) about Y, and
+    Im(conj(adjoint_1) state_0 + conj(adjoint_0) state_1) about X.
     """
     keep_apart()
     size = width << n
@@ -69,9 +73,10 @@ def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int)
     # them. The wires before couple amplitudes of different chunks.
     low = min(n, LOW)
     chunk = width << low
+    last = out + (n - low) * width
     for c in range(1 << (n - low)):
-        _ry_gradients(x, state + c * chunk, adjoint + c * chunk, low, 0, size, width, out + (n - low) * width)
-    _ry_gradients(x, state, adjoint, n - low, low, size, width, out)
+        _gradients(x, state + c * chunk, adjoint + c * chunk, low, 0, size, width, about_x, last)
+    _gradients(x, state, adjoint, n - low, low, size, width, about_x, out)
 
 
 @inner

@@ -30,6 +30,7 @@ from qnerf.quantum.compiled.tables import (
     START,
     START_EACH,
     TABLE,
+    TILTS,
     TURN,
     UNDO,
     Extra,
@@ -40,6 +41,7 @@ from qnerf.quantum.compiled.tables import (
 # Numba compiles a function once more for every True and False of Python's that it is called with.
 FORWARD = STORED = np.bool_(True)
 BACK = NOT_STORED = np.bool_(False)
+ABOUT_X, ABOUT_Y = np.bool_(True), np.bool_(False)
 
 
 class Layout(NamedTuple):
@@ -200,7 +202,9 @@ def _backward(
                 here -= pair
             else:
                 forward_passes.ry_layer(x, here, here, n, width, tangents[row], BACK)
-            backward_passes.ry_gradients(x, here, adjoint, n, width, d)
+            backward_passes.layer_gradients(x, here, adjoint, n, width, ABOUT_Y, d)
+        elif code == TILTS:
+            backward_passes.layer_gradients(x, here, adjoint, n, width, ABOUT_X, d)
         elif code == PERMUTATION:
             forward_passes.permute(x, adjoint, spare, n, width, permutations[row], BACK)
             adjoint, spare = spare, adjoint

@@ -20,11 +20,11 @@ from qnerf.kernels.jit import jit
 from qnerf.kernels.simd import inner
 from qnerf.quantum.angles import Angles
 from qnerf.quantum.basis import cnot_permutation, z_signs
-from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer
+from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer, Tilts
 from qnerf.quantum.program import Program
 from qnerf.quantum.words import Word
 
-DIAGONAL, RY, PERMUTATION, START, TURN, START_EACH = range(6)
+DIAGONAL, RY, PERMUTATION, START, TURN, START_EACH, TILTS = range(7)
 CODE, TABLE, PHASES, EVEN, SEVERAL, FIRST, LAST, UNDO, FOLD = range(9)
 """The columns of an operation: its kind; its row in the tables of its kind, or -1; its row in the phases of the input,
 or -1; whether these are of even products; whether a product of several Z's has a gradient here; its first tap and the
@@ -161,6 +161,10 @@ class ProgramArrays:
             self._operation(PERMUTATION, len(self.tables) - 1)
         elif isinstance(block, Diagonal):
             self._add_diagonal(rows, angles.phases[place], fused)
+        elif isinstance(block, Tilts):
+            for word, own, other in rows:
+                self._tap(self.n - word.x.bit_length(), own, other, word.x)
+            self._operation(TILTS, -1, taps=len(rows))
         elif isinstance(block, RYLayer):
             fold = self._fold()
             if fold is None:
@@ -236,7 +240,7 @@ class ProgramArrays:
         for row in self.rows:
             if row[CODE] == DIAGONAL:
                 row[UNDO] = int(needed)
-            needed = row[CODE] in (DIAGONAL, TURN) or (row[CODE] == START and row[TABLE] >= 0)
+            needed = row[CODE] in (DIAGONAL, TURN, TILTS) or (row[CODE] == START and row[TABLE] >= 0)
 
     @cached_property
     def stored_states(self) -> int:
@@ -379,6 +383,9 @@ def bind(steps: Steps, fixed: Any, n: int, spare: Any, measurement: Measurement,
         elif op[CODE] == TURN:
             tables.signs[op[FIRST]] = 1.0
             frame[op[TABLE], 0], frame[op[TABLE], 1] = x, z
+        elif op[CODE] == TILTS:
+            for k in range(op[FIRST], op[LAST]):
+                tables.signs[k] = -1.0 if z & steps.taps[k, MASK] else 1.0
         elif op[TABLE] >= 0:
             _bind_diagonal(op, steps, fixed, x, n, spare, tables)
     frame[len(frame) - 1, 0], frame[len(frame) - 1, 1] = x, z
