@@ -1,5 +1,6 @@
 """The blocks of a program: what each of them does, and which rotations and CNOTs can pass it."""
 
+import operator
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -32,6 +33,13 @@ class Diagonal(_Rotations):
 
     def passes_cnot(self, control: int, target: int) -> bool:
         return not self.touched & target
+
+    @property
+    def joins_cnots(self) -> bool:
+        """Whether engines apply it together with CNOTs: constants, and fixed phases of one wire each."""
+        one_wire = (mask.bit_count() == 1 and not angle.features for mask, angle in self.angles.items())
+        constant = (angle.constant is not None for angle in self.angles.values())
+        return all(map(operator.or_, one_wire, constant))
 
 
 class RYLayer(_Rotations):

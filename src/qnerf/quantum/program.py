@@ -29,6 +29,8 @@ from itertools import chain, zip_longest
 from math import pi
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from qnerf.quantum.basis import bit
 from qnerf.quantum.blocks import (
@@ -47,7 +49,7 @@ from qnerf.quantum.blocks import (
 from qnerf.quantum.circuit import Circuit, Gate, Observable, PauliWord, Probabilities, as_sum, values_of
 from qnerf.quantum.expressions import Expression, weight
 from qnerf.quantum.gates import Amplitudes
-from qnerf.quantum.words import Word, through_cnot
+from qnerf.quantum.words import Word, bits, through_cnot
 
 TOLERANCE = 1e-13  # an angle this near to a multiple of pi, in units of pi, is one
 LARGEST_MULTIPLE = 64  # beyond, the rounding of the angle says nothing about multiples of pi
@@ -121,6 +123,24 @@ class Program:
         return tuple(values_of(each) for each in self.circuit.observables if isinstance(each, Probabilities))
 
     @cached_property
+    def read(self) -> tuple[PauliWord | Probabilities, ...]:
+        """What a device would read one by one: the words, then the probabilities."""
+        letters = {bit(wire, self.wires): wire for wire in range(self.wires)}
+        words = [
+            tuple(
+                (letters[own], "X" if not own & word.z else "Y" if own & word.x else "Z") for own in bits(word.support)
+            )
+            for word in self.words
+        ]
+        return (*words, *(each for each in self.circuit.observables if isinstance(each, Probabilities)))
+
+    def outputs(self, values: Tensor) -> Tensor:
+        """Outputs (B, outputs) for the values (B, values) of the words and of the outcomes."""
+        if self.combination is None:
+            return values
+        return values @ torch.from_numpy(self.combination).to(values).T + torch.from_numpy(self.constants).to(values)
+
+    @cached_property
     def tables(self) -> tuple[np.ndarray, ...]:
         """For each `Probabilities` the outcome (2^n,) that a basis state counts for."""
         basis, tables = np.arange(2**self.wires if self.outcomes else 0), []
@@ -146,14 +166,27 @@ class Program:
         return isinstance(last, RYLayer) and single and not self.outcomes and self.fixed_blocks < len(self.blocks) - 1
 
     @cached_property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The places of the blocks, without a last layer that is measured; CNOTs with the fixed phases beside them."""
+        groups: list[tuple[int, ...]] = []
+        for place, block in enumerate(self.blocks[: len(self.blocks) - self.measures_last_layer]):
+            last = self.blocks[groups[-1][-1]] if groups else None
+            before, after = (isinstance(own, Diagonal) and own.joins_cnots for own in (last, block))
+            before = before and isinstance(block, CNOTs) and len(groups[-1]) == 1
+            if before or (after and isinstance(last, CNOTs)):
+                groups[-1] += (place,)
+            else:
+                groups.append((place,))
+        return tuple(groups)
+
+    @cached_property
     def operations(self) -> int:
         """Multiply-adds for each sample, forward and backward; the backward pass runs the forward pass again."""
-        n, total = self.wires, 0
-        blocks = self.blocks[self.fixed_blocks : len(self.blocks) - self.measures_last_layer]
-        for block in blocks:
-            total += _cost(block, n)
-        values = len(self.words) + 2 * len(self.outcomes)
-        total += 3 * n + 9 if self.measures_last_layer else 7 * values + 2
+        n = self.wires
+        run = [group for group in self.groups if self.fixed_blocks <= group[0]]
+        total = sum(_cost(self.blocks[group[0]], n) if len(group) == 1 else CNOT_COST + 5 * len(group) for group in run)
+        others = sum(word.x != 0 for word in self.words) + 2 * len(self.outcomes)
+        total += 3 * n + 9 if self.measures_last_layer else 2 * n + 7 * others + 2
         return 2**n * (total + 8 * self.start_moves + 4)
 
 

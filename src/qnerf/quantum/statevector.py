@@ -55,9 +55,7 @@ class PlainCircuit:
             values = (simulate or self.simulate)(fixed, inputs, self.start(x, weights), x.shape[0], x.dtype)
         if not self.angles.takes_all:  # what has no effect has the gradient zero
             values = values + (x[:, :0].sum() + weights[:0].sum()).to(values)
-        if form.combination is None:
-            return values
-        return values @ torch.from_numpy(form.combination).to(values).T + torch.from_numpy(form.constants).to(values)
+        return form.outputs(values)
 
     def start(self, x: Tensor, weights: Tensor) -> Tensor | None:
         """Amplitudes (1 or B, 2^n) that the circuit starts from, complex128; None for |0...0>."""

@@ -160,6 +160,21 @@ def start_backward(
 
 
 @inner
+def permuted_gradients(x: Any, state: int, adjoint: int, n: int, width: int, moved: Any, q: int, out: int) -> None:
+    """Gradients of the phases of each wire behind a permutation, n vectors at `out`, and before it, n more."""
+    keep_apart()
+    size = width << n
+    for i in range(0, size, width):
+        r, s = load(x, adjoint + i), load(x, adjoint + size + i)
+        store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
+    # The phase of basis state b behind the permutation is that of moved[b] before it.
+    for b in range(1 << n):
+        store(x, q + size + moved[b] * width, load(x, q + b * width))
+    z_sums(x, q, n, width, out)
+    z_sums(x, q + size, n, width, out + n * width)
+
+
+@inner
 def _z_sums_of_weights(x: Any, weight: int, wires: int, width: int, out: int) -> None:
     """sum_j z_j(b) weight_j for the 2^wires basis states b of a few wires."""
     keep_apart()

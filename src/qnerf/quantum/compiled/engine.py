@@ -47,7 +47,7 @@ class Engine:
         self.plain = PlainCircuit(circuit)
         self.program, self.angles = self.plain.program, self.plain.angles
         self.arrays = ProgramArrays(self.program, self.angles)
-        self.values = len(self.arrays.wires) + len(self.arrays.words) + int(self.arrays.firsts[-1])
+        self.values = len(self.arrays.masks) + len(self.arrays.words) + int(self.arrays.firsts[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs x (B, features) in radians and flat weights."""
@@ -110,17 +110,16 @@ class _Run:
             np.zeros(len(arrays.steps.taps)), np.ones(operations), arrays.permutations,
         )  # fmt: skip
         last_layer, frame = np.zeros((4, n)), np.zeros((len(arrays.steps.turns) + 1, 2), np.int64)
-        measured = Measurement(arrays.program.measures_last_layer, arrays.wires, arrays.eigenvalues, last_layer)
-        self.amplitude = bind(arrays.steps, angles, n, np.zeros((2, 2**n)), measured, tables, frame)
-        # What is left of the frame at the end flips bits of what is measured.
-        flipped = arrays.eigenvalues[:, np.arange(2**n) ^ frame[-1, 0]]
-        self.measurement = measured._replace(
-            eigenvalues=flipped.astype(kind, order="C"), last_layer=last_layer.astype(kind)
+        measured = Measurement(
+            arrays.program.measures_last_layer, arrays.masks, np.ones(len(arrays.masks), kind), last_layer
         )
-        self.tables = tables._replace(
-            tangents=tables.tangents.astype(kind), diagonals=tables.diagonals.astype(kind),
-            
-        )  # fmt: skip
+        self.amplitude = bind(arrays.steps, angles, n, np.zeros((2, 2**n)), measured, tables, frame)
+        # What is left of the frame at the end flips signs of what is measured.
+        odd = np.bitwise_count(arrays.masks & frame[-1, 0]) & 1
+        self.measurement = measured._replace(
+            signs=np.where(odd, -1, 1).astype(kind), last_layer=last_layer.astype(kind)
+        )
+        self.tables = tables._replace(tangents=tables.tangents.astype(kind), diagonals=tables.diagonals.astype(kind))
         self.factors = (arrays.factors * tables.signs).astype(kind)
         return frame
 

@@ -243,16 +243,17 @@ def probabilities(x: Any, state: int, n: int, width: int, q: int) -> None:
 
 
 @inner
-def permute(x: Any, source: int, target: int, n: int, width: int, table: Any, forward: bool) -> None:
-    """target[b] = source[table[b]]; the inverse if not `forward`."""
+def permute(x: Any, source: int, target: int, n: int, width: int, moved: Any, table: Any, forward: bool) -> None:
+    """target[b] = table[b] source[moved[b]]; the adjoint of this if not `forward`."""
     keep_apart()
     size = width << n
     for b in range(1 << n):
-        a, c = b * width, table[b] * width
+        a, c, u, v = b * width, moved[b] * width, splat(table[0, b]), splat(table[1, b])
         if not forward:
-            a, c = c, a
-        store(x, target + a, load(x, source + c))
-        store(x, target + size + a, load(x, source + size + c))
+            a, c, v = c, a, splat(x.dtype.type(0)) - v
+        r, i = load(x, source + c), load(x, source + size + c)
+        store(x, target + a, u * r - v * i)
+        store(x, target + size + a, u * i + v * r)
 
 
 @inner
