@@ -1,12 +1,13 @@
 """Circuits measured as on hardware: with finitely many shots or noisy gates."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.config.bounds import PositiveInt, check
 from qnerf.kernels import is_transformed
 from qnerf.quantum import density, pauli_errors
 from qnerf.quantum.circuit import Circuit
@@ -52,16 +53,10 @@ class Conditions:
     outputs: int = field(init=False, repr=False, default=0)
 
     def __post_init__(self) -> None:
-        if self.shots is not None and (
-            isinstance(self.shots, bool) or not isinstance(self.shots, int) or self.shots < 1
-        ):
-            raise ValueError(f"shots expects a positive integer or None, got {self.shots!r}")
-        if self.noise is not None and not isinstance(self.noise, Noise):
-            raise ValueError(f"noise expects a Noise, a depolarizing probability or None, got {self.noise!r}")
-        if self.method not in get_args(NoiseMethod):
-            raise ValueError(f"method: unknown {self.method!r}; known: {', '.join(get_args(NoiseMethod))}")
-        if isinstance(self.patterns, bool) or not isinstance(self.patterns, int) or self.patterns < 1:
-            raise ValueError(f"patterns expects a positive integer, got {self.patterns!r}")
+        for name, kind in (
+            ("shots", PositiveInt | None), ("noise", Noise | None), ("method", NoiseMethod), ("patterns", PositiveInt),
+        ):  # fmt: skip
+            check(name, getattr(self, name), kind)
         if self.seed is not None:
             self.random = np.random.default_rng(self.seed)
 

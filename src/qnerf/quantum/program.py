@@ -218,7 +218,7 @@ def unmerged(circuit: Circuit) -> Program:
             blocks.append(CNOTs([(bit(gate.wires[0], circuit.wires), bit(gate.wires[1], circuit.wires))]))
         else:
             words = ((Word.of(part.letters, gate.wires, circuit.wires), gate.angle_of(part)) for part in gate.rotations)
-            blocks += [Turn(word, angle) for word, angle in words]
+            blocks += [Turn(word, angle) for word, angle in words if angle.terms]
     return _Measured(circuit.observables, Word(0, 0, 0), circuit.wires).program(circuit, tuple(blocks))
 
 

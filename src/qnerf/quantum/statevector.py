@@ -23,7 +23,7 @@ from qnerf.quantum.basis import bit, cnot_permutation, z_signs
 from qnerf.quantum.blocks import CNOTs, Diagonal, Tilts, Turn, moves
 from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import Program, program
+from qnerf.quantum.program import Program, program, unmerged
 from qnerf.quantum.words import Word
 
 GROUP = 4  # wires in one dense real matrix
@@ -39,10 +39,10 @@ Turns = tuple[Tensor, Tensor]
 
 
 class PlainCircuit:
-    """A program ready to run in plain PyTorch."""
+    """A circuit ready to run in plain PyTorch, by its own program or another one."""
 
-    def __init__(self, circuit: Circuit) -> None:
-        self.circuit, self.program = circuit, program(circuit)
+    def __init__(self, circuit: Circuit, own: Program | None = None) -> None:
+        self.circuit, self.program = circuit, own or program(circuit)
         self.angles = Angles(self.program)
         self.starts = [_Start(part, circuit) for part in self.program.start]
 
@@ -302,20 +302,10 @@ def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
     Raises:
         ValueError: more than 20 wires.
     """
-    n = circuit.wires
-    check_state(n, f"the whole state of circuit {circuit.name}")
-    rotations = [
-        (Word.of(part.letters, gate.wires, n), gate.angle_of(part)) for gate in circuit.gates for part in gate.rotations
-    ]
-    angles = ExpressionTable([angle for _, angle in rotations], circuit.parameters, fixed=False)(x, weights)
-    start = PlainCircuit(circuit).start(x, weights)
-    if start is None:
-        start = torch.nn.functional.pad(torch.ones_like(x[:1, :0].sum(1, keepdim=True)), (0, 2**n - 1))
-    state = start.to(torch.complex128).expand(x.shape[0], -1).T
-    for column, (word, _) in enumerate(rotations):
-        half = angles[:, column] / 2
-        state = _turned(state, word, n, half.cos(), half.sin())
-    return state.T
+    check_state(circuit.wires, f"the whole state of circuit {circuit.name}")
+    plain = PlainCircuit(circuit, unmerged(circuit))
+    fixed, inputs, start = plain.angles.fixed(x, weights), plain.angles.inputs(x, weights), plain.start(x, weights)
+    return plain.final_state(fixed, inputs.expand(x.shape[0], -1), start, torch.float64).T
 
 
 def _turned(state: Tensor, word: Word, wires: int, cosine: Tensor, sine: Tensor) -> Tensor:

@@ -82,11 +82,12 @@ def layer_gradients(x: Any, state: int, adjoint: int, n: int, width: int, about_
 @inner
 def diagonal_backward(
     x: Any, state: int, adjoint: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any, several: Any,
-    q: int, out: int,
+    q: int, out: int, total: int,
 ) -> None:  # fmt: skip
     """Gradients of a diagonal for each wire, sum_b z_j Im(conj(adjoint) state); takes the diagonal off the adjoint.
 
-    With `several`, the gradients of all products of Z's instead, at q (see `walsh`).
+    With `several`, the gradients of all products of Z's instead, at q (see `walsh`). Unless `total` is negative, the
+    new adjoint is added to the state there instead.
     """
     keep_apart()
     size = width << n
@@ -115,44 +116,16 @@ def diagonal_backward(
                 r, s = load(x, adjoint + i), load(x, adjoint + size + i)
                 store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
                 r, s = u * r + v * s, u * s - v * r
-                store(x, adjoint + i, c * r + e * s)
-                store(x, adjoint + size + i, c * s - e * r)
+                r, s = c * r + e * s, c * s - e * r
+                if total < 0:
+                    store(x, adjoint + i, r)
+                    store(x, adjoint + size + i, s)
+                else:
+                    store(x, total + i, load(x, total + i) + r)
+                    store(x, total + size + i, load(x, total + size + i) + s)
                 if even is None or not even:
                     e = zero - e
     # The angle of wire j moves the phase of b by -z_j(b) / 2.
-    if several is not None and several:
-        walsh(x, q, n, width)
-        return
-    z_sums(x, q, n, width, out)
-
-
-@inner
-def start_backward(
-    x: Any, state: int, adjoint: int, n: int, width: int, phases: int, mask: int, even: Any, several: Any, q: int,
-    out: int, total: int,
-) -> None:  # fmt: skip
-    """As `diagonal_backward` for the first encoding; adds the adjoint of the common first state to `total`."""
-    keep_apart()
-    size = width << n
-    half = size >> 1
-    zero = splat(x.dtype.type(0))
-    # Without an input the first state is the common one itself.
-    if phases < 0:
-        for k in range(0, 2 * size, width):
-            store(x, total + k, load(x, total + k) + load(x, adjoint + k))
-        return
-    flip = (1 << n) - 1
-    # As above; the adjoint with the phases taken off is added to the sum over samples.
-    for k in range(1 << (n - 1)):
-        c, e = load(x, phases + k * width), load(x, phases + half + k * width)
-        for side in range(2):
-            i = (k ^ mask ^ (flip * side)) * width
-            r, s = load(x, adjoint + i), load(x, adjoint + size + i)
-            store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
-            store(x, total + i, load(x, total + i) + c * r + e * s)
-            store(x, total + size + i, load(x, total + size + i) + c * s - e * r)
-            if even is None or not even:
-                e = zero - e
     if several is not None and several:
         walsh(x, q, n, width)
         return

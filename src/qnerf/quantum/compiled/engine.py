@@ -135,16 +135,13 @@ class _Run:
     def _start(self) -> None:
         """The state before the first data, with the fixed phases of the first data if these are phases."""
         steps, once = self.engine.arrays.steps, self.engine.arrays.once
-        self.psi = np.empty((2, 2**self.n), self.kind)
-        prepare(steps.operations[:once], self.shape, self.tables, self.extra, self.first, self.psi)
+        psi = np.empty((2, 2**self.n), self.kind)
+        prepare(steps.operations[:once], self.shape, self.tables, self.extra, self.first, psi)
         row = int(steps.operations[once, TABLE])
-        self.first_diagonal = self.tables.diagonals[row] if row >= 0 else None
-        self.shared = self.psi
-        if self.first_diagonal is not None:
-            u, v = self.first_diagonal
-            self.shared = np.empty_like(self.psi)
-            self.shared[0] = u * self.psi[0] - v * self.psi[1]
-            self.shared[1] = u * self.psi[1] + v * self.psi[0]
+        if row >= 0:
+            u, v = self.tables.diagonals[row]
+            psi = np.stack([u * psi[0] - v * psi[1], u * psi[1] + v * psi[0]])
+        self.shared = psi
 
     def _trig(self, blocks: np.ndarray) -> np.ndarray:
         """cos and sin of half the moving angles: (blocks, columns, width) -> (blocks, 2, M, width)."""
@@ -198,9 +195,6 @@ class _Run:
             self.stored, inputs, sums, adjoints, starts,
         )  # fmt: skip
         total, adjoint = sums.sum(0), adjoints.sum(0)
-        if self.first_diagonal is not None:
-            u, v = self.first_diagonal.astype(np.float64)
-            adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
         prepare_backward(
             steps.operations[:once], self.shape, taps, self.factors, self.tables, self.extra, self.first, adjoint,
             total, self.stored,

@@ -108,6 +108,14 @@ def _turn_cosine(x: Any, at: Layout, width: int, turn: Any, extra: Extra) -> Any
     return cosine
 
 
+@inner
+def _flag(value: int, extra: Any) -> Any:
+    """Whether a flag is set; None, for which loops are compiled without it, where no operation has it."""
+    if extra is None:
+        return None
+    return value == 1
+
+
 @jit
 def _forward(
     x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, tables: Tables, psi: Any, extra: Any,
@@ -127,16 +135,11 @@ def _forward(
         code, row, phases = operations[o, CODE], operations[o, TABLE], operations[o, PHASES]
         p = -1 if phases < 0 else at.phases + phases * (pair >> 1)
         after = here + pair if store_states else here
+        even = _flag(operations[o, EVEN], extra)
         if code == START:
-            if extra is None:
-                forward_passes.start(x, here, n, width, psi, p, masks[o], None)
-            else:
-                forward_passes.start(x, here, n, width, psi, p, masks[o], operations[o, EVEN] == 1)
+            forward_passes.start(x, here, n, width, psi, p, masks[o], even)
         elif code == DIAGONAL:
-            if extra is None:
-                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], None)
-            else:
-                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], operations[o, EVEN] == 1)
+            forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], even, FORWARD)
         elif code == RY:
             forward_passes.ry_layer(x, here, after, n, width, tangents[row], FORWARD)
             here = after
@@ -194,7 +197,8 @@ def _backward(
     for o in range(len(operations) - 1, -1, -1):
         code, row, phases = operations[o, CODE], operations[o, TABLE], operations[o, PHASES]
         p = -1 if phases < 0 else at.phases + phases * (pair >> 1)
-        first, square = d, 1.0
+        even, several = _flag(operations[o, EVEN], extra), _flag(operations[o, SEVERAL], extra)
+        first, square = scratch if operations[o, SEVERAL] else d, 1.0
         # A state that was not stored lacks the cosines of a layer that was taken off it, or has them twice.
         if not stored:
             square = squares[o]
@@ -220,31 +224,23 @@ def _backward(
                 forward_passes.permute(x, here, other, n, width, moved, diagonals[row], BACK)
                 here = other
         elif code == DIAGONAL:
-            if extra is None:
-                backward_passes.diagonal_backward(
-                    x, here, adjoint, n, width, diagonals[row], p, masks[o], None, None, scratch, d
-                )
-            else:
-                several, even = operations[o, SEVERAL] == 1, operations[o, EVEN] == 1
-                backward_passes.diagonal_backward(
-                    x, here, adjoint, n, width, diagonals[row], p, masks[o], even, several, scratch, d
-                )
-                first = scratch if several else d
+            backward_passes.diagonal_backward(
+                x, here, adjoint, n, width, diagonals[row], p, masks[o], even, several, scratch, d, -1
+            )
             if operations[o, UNDO] or not stored:
-                factor = x.dtype.type(1.0 / squares[o] if stored else 1.0)
-                even = operations[o, EVEN] == 1
-                forward_passes.diagonal_off(x, here, n, width, diagonals[row], p, masks[o], even, factor)
+                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], even, BACK)
+                if stored and squares[o] != 1:
+                    factor = splat(x.dtype.type(1.0 / squares[o]))
+                    for i in range(here, here + pair, width):
+                        store(x, i, factor * load(x, i))
+        elif code == START and row >= 0:
+            total = at.first_adjoint
+            backward_passes.diagonal_backward(
+                x, here, adjoint, n, width, diagonals[row], p, masks[o], even, several, scratch, d, total
+            )
         elif code == START:
-            if extra is None:
-                backward_passes.start_backward(
-                    x, here, adjoint, n, width, p, masks[o], None, None, scratch, d, at.first_adjoint
-                )
-            else:
-                several, even = operations[o, SEVERAL] == 1, operations[o, EVEN] == 1
-                backward_passes.start_backward(
-                    x, here, adjoint, n, width, p, masks[o], even, several, scratch, d, at.first_adjoint
-                )
-                first = scratch if several else d
+            for i in range(0, pair, width):
+                store(x, at.first_adjoint + i, load(x, at.first_adjoint + i) + load(x, adjoint + i))
         elif extra is not None and code == TURN:
             cosine, sines = _turn_cosine(x, at, width, extra.turns[row], extra), at.signs + 2 * width
             word_passes.rotate_back(x, here, adjoint, n, width, extra.turns[row], cosine, sines, at.signs, d)
