@@ -104,11 +104,16 @@ _LEFT = np.array([
 """-iX, -iY and -iZ on the left of w - i(x X + y Y + z Z), as matrices on (w, x, y, z)."""
 
 
+LEAST = 0.1  # of |sin theta|, for angles of Euler to have derivatives: rounding grows by its inverse
+TINY = 1e-300  # in place of a xi of 0 that has derivatives
+
+
 class Products:
     """Products of rotations of one wire as RZ(omega) RY(theta) RX(xi) RZ(phi), up to a sign.
 
-    Where theta is 0, phi and omega are one angle, and their derivatives would not exist. So omega is a number, without
-    derivatives, that makes xi zero. The other three angles have derivatives of all orders. Those of xi are not zero.
+    Where theta is a multiple of pi, phi and omega are one angle, and their derivatives would not exist. Near there
+    (`LEAST`) omega is a number without derivatives; the other three have some of all orders. Those of xi are not zero
+    then, and its value is TINY. Else xi is 0, without derivatives.
     """
 
     def __init__(self, products: Sequence[Factors], parameters: dict[str, tuple[int, ...]]) -> None:
@@ -125,14 +130,24 @@ class Products:
         product = steps[:, 0, :, :1]
         for place in range(1, steps.shape[1]):
             product = steps[:, place] @ product
-        w, x_, y, z = product[..., 0].unbind(1)
-        omega = (torch.atan2(z, w) + torch.atan2(-x_, y)).detach()
+        product = product[..., 0]
+        w, x_, y, z = product.unbind(1)
+        regular = ((w.square() + z.square()) * (x_.square() + y.square()) > LEAST**2 / 4).detach()
+        harmless = torch.where(regular[:, None], product, torch.ones_like(product))  # no derivative is infinite
+        omega = torch.where(regular, _omega(harmless), _omega(product.detach()))
         c, s = (omega / 2).cos(), (omega / 2).sin()
         w, x_, y, z = c * w + s * z, c * x_ + s * y, c * y - s * x_, c * z - s * w
         phi = torch.atan2(2 * (w * z + x_ * y), w * w + y * y - x_ * x_ - z * z)
         theta = torch.atan2(2 * (w * y + x_ * z), w * w + z * z - x_ * x_ - y * y)
         xi = torch.asin(2 * (w * x_ - y * z))
+        xi = torch.where(regular, torch.zeros_like(xi), xi - xi.detach() + TINY)
         return torch.stack([phi, theta, xi, omega], 1).flatten()
+
+
+def _omega(product: Tensor) -> Tensor:
+    """The last angle of Euler of products (..., 4)."""
+    w, x, y, z = product.unbind(1)
+    return torch.atan2(z, w) + torch.atan2(-x, y)
 
 
 class Angles:

@@ -210,6 +210,8 @@ def _backward(
                 forward_passes.ry_layer(x, here, here, n, width, tangents[row], BACK)
             backward_passes.layer_gradients(x, here, adjoint, n, width, ABOUT_Y, d)
         elif code == TILTS:
+            if not masks[o]:
+                continue
             backward_passes.layer_gradients(x, here, adjoint, n, width, ABOUT_X, d)
         elif code == PERMUTATION:
             moved = permutations[operations[o, MOVED]]

@@ -52,7 +52,7 @@ class Tables(NamedTuple):
 
     tangents: Any  # (layers, n) of half the angles of RY layers
     diagonals: Any  # (diagonals, 2, 2^n) real and imaginary parts, times the cosines of an RY layer
-    flip_masks: Any  # (operations,) bits that the Pauli frame flips
+    flip_masks: Any  # (operations,) bits that the Pauli frame flips; of tilts, whether any has derivatives
     signs: Any  # (taps,) that the Pauli frame gives the angles
     squares: Any  # (operations,) of the cosines that the state here still lacks or has too many of
     permutations: Any  # (permutations, 2^n) of the CNOTs, whatever the angles are
@@ -413,6 +413,10 @@ def bind(steps: Steps, fixed: Any, n: int, spare: Any, measurement: Measurement,
         elif op[CODE] == TILTS:
             for k in range(op[FIRST], op[LAST]):
                 tables.signs[k] = -1.0 if z & steps.taps[k, MASK] else 1.0
+            tables.flip_masks[o] = 0
+            for k in range(op[FIRST], op[LAST]):
+                if fixed[steps.taps[k, FIXED]] != 0:
+                    tables.flip_masks[o] = 1
         elif op[TABLE] >= 0:
             _bind_diagonal(op[TABLE], op[FIRST], op[LAST], steps, fixed, x, n, spare, tables)
     frame[len(frame) - 1, 0], frame[len(frame) - 1, 1] = x, z
