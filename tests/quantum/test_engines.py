@@ -1,6 +1,7 @@
 """Every engine against every other and PennyLane, outputs and derivatives."""
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from math import pi
 from random import Random
@@ -88,6 +89,21 @@ def test_engines_agree_on_random_circuits_and_equal_pennylane(numbers: range) ->
                 assert error <= tolerances.get(name, 1e-12), (number, name)
 
 
+@pytest.fixture
+def products(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Programs with products of rotations whatever the number of wires."""
+    monkeypatch.setattr(sys.modules[program.__module__], "PRODUCT_WIRES", 0)
+    program.cache_clear()
+    yield
+    program.cache_clear()
+
+
+@pytest.mark.usefixtures("products")
+def test_products_of_rotations_of_random_circuits_equal_pennylane() -> None:
+    test_engines_agree_on_random_circuits_and_equal_pennylane(range(50))
+
+
+@pytest.mark.usefixtures("products")
 def test_products_of_rotations_have_all_derivatives_at_special_angles() -> None:
     """Angles of Euler have none where the middle one is a multiple of pi."""
     w = Weights("w", (2, 3))

@@ -58,6 +58,7 @@ TURN_COST, LAYER_COST, TILT_COST, CNOT_COST = 19, 8, 2, 8
 or of tilts, of a permutation."""
 
 
+PRODUCT_WIRES = 7  # below, a layer of the state is quicker than working out the angles of a product
 PRODUCTS = "one-wire products"  # no identifier, as names of weights are
 Factors = tuple[tuple[Word, Expression], ...]
 Product = list[tuple[Word, Expression]]
@@ -315,10 +316,17 @@ class _Builder:
             return [phases]
         x, y, z = Word(place, 0, 0), Word(place, place, 1), Word(0, place, 0)
         after = [core.pop()] if not core[-1][0].x else []
-        if len(core) == 1:
-            ((word, angle),) = core  # RY, or RX = RZ(-pi/2) RY RZ(pi/2)
-            quarter = Expression.of(0.0 if word.z else pi / 2)
-            return [[*phases, (z, quarter)], [], [(y, angle)], [(z, -quarter), *after]]
+        if len(core) == 1 or self.n < PRODUCT_WIRES:  # RY, or RX = RZ(-pi/2) RY RZ(pi/2), one after the other
+            slots = [list(phases)]
+            for word, angle in core:
+                if not word.x:
+                    slots[-1].append((word, angle))
+                    continue
+                quarter = Expression.of(0.0 if word.z else pi / 2)
+                slots[-1].append((z, quarter))
+                slots += [[], [(y, angle)], [(z, -quarter)]]
+            slots[-1] += after
+            return slots
         phi, theta, xi, omega = (weight(PRODUCTS, 4 * len(self.products) + k) for k in range(4))
         self.products.append(core)
         trains = any(angle.constant is None for _, angle in core)
