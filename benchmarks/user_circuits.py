@@ -1,15 +1,15 @@
 """The speed of circuits as PennyLane's users write them: `python -m benchmarks.user_circuits --commit COMMIT`.
 
 Forward + backward of 1,024 samples in float32, of each QNode as `from_qnode`, whose calls make PennyLane's tape, and
-as `QuantumLayer(layer.circuit(features))`. QIREN written with Gates stands beside the ansatz (6,144 samples). Rows are
-saved as benchmarks/results/user_circuits.parquet, with the processor; those of other commits and threads stay. An older
-commit is measured with PYTHONPATH=<its src>.
+as `QuantumLayer(layer.circuit(features))`. Before them QIREN and circuits of Gates with as many of them, in turn
+(6,144 samples). Rows are saved as benchmarks/results/user_circuits.parquet, with the processor; those of other commits
+and threads stay. An older commit is measured with PYTHONPATH=<its src>.
 """
 
 import argparse
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -164,49 +164,85 @@ def layer_of(case: Case) -> Any:
     return from_qnode(qml.QNode(function, qml.device("default.qubit", wires=case.wires)), {"w": case.shape})
 
 
-def qiren_of_gates(wires: int, spectral: int) -> Circuit:
-    """QIREN as a user would write it, gate by gate."""
-    w = Weights("w", (spectral + 1, 2, wires, 3))
+def of_gates(axes: str, gate: str, pairs: Callable[[int], list[tuple[int, int]]], wires: int = 8) -> Circuit:
+    """QIREN with S = 2 as a user would write it, gate by gate: rotations about other axes, and other pairs."""
+    w = Weights("w", (3, 2, wires, len(axes)))
     gates = []
-    for block in range(spectral + 1):
+    for block in range(3):
         for layer in range(2):
             for wire in range(wires):
-                for axis, angle in zip("ZYZ", w[block, layer, wire], strict=True):
+                for axis, angle in zip(axes, w[block, layer, wire], strict=True):
                     gates.append(Gate(f"R{axis}", (wire,), (angle,)))
-            gates += [Gate("CZ", (wire, (wire + layer + 1) % wires)) for wire in range(wires)]
-        if block < spectral:
+            gates += [Gate(gate, pair) for pair in pairs(layer)]
+        if block < 2:
             gates += [Gate("RZ", (wire,), (feature(wire),)) for wire in range(wires)]
     observables = tuple(((wire, "Z"),) for wire in range(wires))
     return Circuit("gates", wires, operations=tuple(gates), observables=observables, features=wires, weights=(w,))
 
 
-def timed(layer: nn.Module, samples: int, features: int, repeats: int) -> dict[str, float]:
-    """Median CPU and smallest wall-clock time of forward + backward, after two calls that do not count."""
+def ring(layer: int) -> list[tuple[int, int]]:
+    return [(wire, (wire + layer + 1) % 8) for wire in range(8)]
+
+
+def bricks(layer: int) -> list[tuple[int, int]]:
+    return [(wire, (wire + 1) % 8) for first in (0, 1) for wire in range(first, 8, 2)]
+
+
+OWN = {
+    "QIREN 8 of gates": ("ZYZ", "CZ", ring),
+    "RX RZ RX, ring of CZ": ("XZX", "CZ", ring),
+    "RX RZ RX, bricks of CZ": ("XZX", "CZ", bricks),
+    "RX RZ RX, ring of CNOT": ("XZX", "CNOT", ring),
+    "RX RZ RX, bricks of CNOT": ("XZX", "CNOT", bricks),
+}
+"""As many gates as QIREN has, and the same inputs and outputs."""
+
+
+def step(layer: nn.Module, x: torch.Tensor) -> tuple[float, float]:
+    """CPU and wall-clock milliseconds of forward + backward."""
+    start = time.process_time(), time.perf_counter()
+    y = layer(x)
+    y.backward(torch.ones_like(y))
+    return 1e3 * (time.process_time() - start[0]), 1e3 * (time.perf_counter() - start[1])
+
+
+def timed(layers: Mapping[str, nn.Module], samples: int, features: int, repeats: int) -> dict[str, dict[str, float]]:
+    """Of each layer the median CPU and the smallest wall-clock time, in turn, after two calls that do not count.
+
+    `times_first`: the median ratio of its CPU time to that of the first layer.
+    """
     x = torch.randn(samples, features).requires_grad_()
-    cpu, wall = [], []
-    for _ in range(repeats + 2):
-        start = time.process_time(), time.perf_counter()
-        y = layer(x)
-        y.backward(torch.ones_like(y))
-        cpu.append(time.process_time() - start[0])
-        wall.append(time.perf_counter() - start[1])
-    return {"cpu_ms": 1e3 * median(cpu[2:]), "ms_min": 1e3 * min(wall[2:])}
+    rounds = [{name: step(layer, x) for name, layer in layers.items()} for _ in range(repeats + 2)][2:]
+    first = next(iter(layers))
+    return {
+        name: {
+            "cpu_ms": median(each[name][0] for each in rounds),
+            "ms_min": min(each[name][1] for each in rounds),
+            "times_first": median(each[name][0] / each[first][0] for each in rounds),
+        }
+        for name in layers
+    }
 
 
-def measured(repeats: int) -> list[dict[str, Any]]:
+def measured(repeats: int, every: bool) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
 
-    def add(name: str, call: str, layer: nn.Module, samples: int, features: int) -> None:
-        rows.append({"circuit": name, "call": call, "samples": samples} | timed(layer, samples, features, repeats))
-        print(name, call, f"{rows[-1]['cpu_ms']:.2f} ms", flush=True)
+    def add(call: str, layers: Mapping[str, nn.Module], samples: int, features: int) -> None:
+        for name, row in timed(layers, samples, features, repeats).items():
+            rows.append({"circuit": name, "call": call, "samples": samples} | row)
+            print(f"{name} {call} {row['cpu_ms']:.2f} ms, times {row['times_first']:.2f}", flush=True)
 
-    for name, case in CASES.items():
+    add(
+        "QuantumLayer",
+        {"QIREN 8": QuantumLayer(8, 2), **{k: QuantumLayer(of_gates(*v)) for k, v in OWN.items()}},
+        6144,
+        8,
+    )
+    for name, case in CASES.items() if every else ():
         layer = layer_of(case)
-        add(name, "from_qnode", layer, SAMPLES, case.features)
+        add("from_qnode", {name: layer}, SAMPLES, case.features)
         if not name.startswith("amplitudes"):  # no polynomial
-            add(name, "QuantumLayer", QuantumLayer(layer.circuit(case.features)), SAMPLES, case.features)
-    add("QIREN 8", "QuantumLayer", QuantumLayer(8, 2), 6144, 8)
-    add("QIREN 8 of gates", "QuantumLayer", QuantumLayer(qiren_of_gates(8, 2)), 6144, 8)
+            add("QuantumLayer", {name: QuantumLayer(layer.circuit(case.features))}, SAMPLES, case.features)
     return rows
 
 
@@ -214,15 +250,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--commit", required=True, help="what is measured")
     parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--own", action="store_true", help="QIREN and circuits with as many gates alone")
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     warnings.simplefilter("ignore")
     about = {"threads": options.threads, "processor": processor(), "commit": options.commit}
-    table = pd.DataFrame(measured(options.repeats)).assign(**about)
+    table = pd.DataFrame(measured(options.repeats, not options.own)).assign(**about)
     if RESULTS.exists():
         old = pd.read_parquet(RESULTS)
         same = (old["commit"] == options.commit) & (old["threads"] == options.threads)
+        same &= old["circuit"].isin(table["circuit"])
         table = pd.concat([old[~same], table], ignore_index=True)
     table.to_parquet(RESULTS, index=False)
 

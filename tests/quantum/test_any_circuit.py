@@ -23,7 +23,6 @@ from qnerf.quantum.circuit import (
     encoding,
     entanglers,
     feature,
-    rotations,
     weight,
 )
 from qnerf.quantum.layer import QuantumLayer
@@ -45,6 +44,7 @@ MIXED = Circuit(
         Gate("Rot", (2,), (W[0, 2], W[1, 0] * W[1, 1], feature(1))),
         Gate("SWAP", (0, 1)),
         Gate("MultiRZ", (0, 1, 2), (W[1, 2],)),
+        Gate("RY", (1,), (W[1, 0],)),
         Gate("SX", (1,)),
     ),
     observables=(
@@ -70,19 +70,6 @@ def layers(circuit: Circuit) -> tuple[QuantumLayer, QuantumLayer]:
     fast, plain = QuantumLayer(circuit).double(), QuantumLayer(circuit, backend="torch").double()
     plain.load_state_dict(fast.state_dict())
     return fast, plain
-
-
-def test_lists_of_gates_and_gates_are_one_circuit() -> None:
-    v = Weights("v", (2, 2, 3))
-    operations = (
-        rotations(v[0]), entanglers("CZ", ((0, 1),)), encoding("X", (1.0, 2.0)), Gate("H", (0,)), [rotations(v[1])],
-    )  # fmt: skip
-    circuit = Circuit("both", 2, operations, (((0, "Z"),), ((0, "X"),)), weights=(v,))
-    assert len(circuit.operations) == len(circuit.gates) == 8
-    fast, plain = QuantumLayer(circuit), QuantumLayer(circuit, method="pennylane")
-    plain.load_state_dict(fast.state_dict())
-    x = torch.randn(4, 2)
-    torch.testing.assert_close(fast(x), plain(x), rtol=0, atol=2e-6)
 
 
 def kinds(circuit: Circuit) -> list[type]:
@@ -232,7 +219,7 @@ def test_descriptions_take_lists_single_wires_rows_of_weights_and_long_names() -
     loose = Circuit(
         "loose", 2, features=2, weights=W,  # one for all
         operations=[
-            Gate("Hadamard", 0), Gate("Rot", [1], W[1]), Gate("RX", 0, feature(1)), Gate("PauliX", np.int64(1)),
+            [Gate("Hadamard", 0), [Gate("Rot", [1], W[1])]], Gate("RX", 0, feature(1)), Gate("PauliX", np.int64(1)),
             Gate("CRot", range(2), [0.5, W[0, 1], np.pi * feature(0)]),
         ],
         observables=[[[0, "Z"]], Hamiltonian([1, 2.0], [[(0, "X")], [(1, "Y")]]), Probabilities([1])],

@@ -1,25 +1,12 @@
 """The circuit as data, its drawings, and its program."""
 
-import numpy as np
 import pytest
 
-from qnerf.quantum.angles import constant_phases
-from qnerf.quantum.basis import bit, cnot_permutation, cz_signs
 from qnerf.quantum.blocks import Diagonal, RYLayer, rotations_of
-from qnerf.quantum.circuit import ANSATZE, Circuit, Weights, encoding, ring, rotations
+from qnerf.quantum.circuit import ANSATZE, Circuit, Weights, encoding, rotations
 from qnerf.quantum.cones import TooLarge, find_cones
 from qnerf.quantum.pennylane import draw
 from qnerf.quantum.program import program
-
-
-def test_qiren_is_strongly_entangling_layers_with_cz() -> None:
-    circuit = ANSATZE.build("qiren", 8, 2)
-    kinds = [gate.name for gate in circuit.gates]
-    assert kinds == [*[*["Rot"] * 8, *["CZ"] * 8] * 2, *["RZ"] * 8] * 2 + [*["Rot"] * 8, *["CZ"] * 8] * 2
-    pairs = [gate.wires for gate in circuit.gates if gate.name == "CZ"]
-    assert tuple(pairs[:8]) == ring(8, 1)
-    assert tuple(pairs[8:16]) == ring(8, 2)
-    assert circuit.parameters == {"weights1": (2, 2, 8, 3), "weights2": (2, 8, 3)}
 
 
 def test_drawing_in_the_docstring_is_that_of_pennylane() -> None:
@@ -38,24 +25,6 @@ def test_program_of_qiren_leaves_out_what_does_not_matter() -> None:
     assert ("weights2", 2 * 8 * 3 - 1) not in weights  # omega of the last: commutes with Z
     assert found.fixed_blocks == 3
     assert found.measures_last_layer
-
-
-def test_program_of_qiren_drops_rings_that_cancel() -> None:
-    """At n = 2 both rings visit the pair twice; at n = 4 the second one does."""
-    for wires, expected in ((2, [False] * 3), (4, [True, False, True])):
-        blocks = [block for block in program(ANSATZE.build("qiren", wires, 1)).blocks if isinstance(block, Diagonal)]
-        phases = [
-            constant_phases({m: a.split_constant()[0] for m, a in block.angles.items()}, wires) for block in blocks
-        ]
-        assert [bool((own != own[0]).any()) for own in phases] == expected
-
-
-def test_diagonals_and_permutations() -> None:
-    a, b, c = (bit(wire, 3) for wire in range(3))
-    assert cz_signs(((2, 1),), 2).tolist() == [1, 1, 1, -1]
-    once = cnot_permutation(((a, b), (b, c)), 3)
-    state = np.arange(8)[cnot_permutation(((a, b),), 3)][cnot_permutation(((b, c),), 3)]
-    assert np.array_equal(np.arange(8)[once], state)
 
 
 def test_cones_of_qiren() -> None:

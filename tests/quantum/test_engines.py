@@ -1,21 +1,24 @@
 """Every engine against every other and PennyLane, outputs and derivatives."""
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from math import pi
+from random import Random
 
 import pytest
 import torch
 from torch import Tensor
 
 from qnerf.quantum import lightcone
-from qnerf.quantum.circuit import ANSATZE, Circuit
+from qnerf.quantum.circuit import ANSATZE, Circuit, Gate, Weights, feature
 from qnerf.quantum.compiled import engine as compiled
 from qnerf.quantum.compiled.engine import Engine
 from qnerf.quantum.cones import find_cones
 from qnerf.quantum.pennylane import make_node
 from qnerf.quantum.program import program
 from qnerf.quantum.statevector import PlainCircuit
-from tests.helpers.circuits import CHUNKS, derivatives, random_circuit
+from tests.helpers.circuits import CHUNKS, SPECIAL, derivatives, random_circuit
 
 Function = Callable[[Tensor, Tensor], Tensor]
 
@@ -84,6 +87,43 @@ def test_engines_agree_on_random_circuits_and_equal_pennylane(numbers: range) ->
             for one, two in zip(own, found["torch"], strict=True):
                 error = (one - two).abs().max() / two.abs().max().clamp(min=1)
                 assert error <= tolerances.get(name, 1e-12), (number, name)
+
+
+@pytest.fixture
+def products(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Programs with products of rotations whatever the number of wires."""
+    monkeypatch.setattr(sys.modules[program.__module__], "PRODUCT_WIRES", 0)
+    program.cache_clear()
+    yield
+    program.cache_clear()
+
+
+@pytest.mark.usefixtures("products")
+def test_products_of_rotations_of_random_circuits_equal_pennylane() -> None:
+    test_engines_agree_on_random_circuits_and_equal_pennylane(range(50))
+
+
+@pytest.mark.usefixtures("products")
+def test_products_of_rotations_have_all_derivatives_at_special_angles() -> None:
+    """Angles of Euler have none where the middle one is a multiple of pi."""
+    w = Weights("w", (2, 3))
+    layers = [
+        [Gate(f"R{axis}", wire, w[wire, k]) for wire in range(2) for k, axis in enumerate(axes)]
+        for axes in ("XZX", "YXZ")
+    ]
+    gates = [*layers[0], Gate("CNOT", (0, 1)), Gate("RX", 0, feature(0)), *layers[1], Gate("CZ", (0, 1)), *layers[0]]
+    circuit = Circuit("products", 2, gates, (((0, "Z"),), ((0, "X"), (1, "Y"))), weights=w)
+    random = Random(0)
+    for number in range(60):
+        x = torch.tensor([[0.7], [0.0]], dtype=torch.float64, requires_grad=True)
+        angles = [random.choice([0.0, pi, random.choice(SPECIAL), 1e-9, 1e-160]) for _ in range(circuit.size)]
+        weights = torch.tensor(angles, dtype=torch.float64, requires_grad=True)
+        own, plain = (
+            (y := engine(x, weights), *derivatives(y, x, weights))
+            for engine in (Engine(circuit).evaluate, make_node(circuit))
+        )
+        for one, two in zip(own, plain, strict=True):
+            assert (one - two).abs().max() <= 1e-12, (number, angles)
 
 
 def test_named_circuits_equal_pennylane_with_their_gradients() -> None:

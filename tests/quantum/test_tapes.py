@@ -64,18 +64,6 @@ def test_device_is_found_by_its_name() -> None:
     assert isinstance(qml.device("qnerf.fast", wires=2), FastDevice)
 
 
-def test_device_differentiates_other_interfaces_by_parameter_shift() -> None:
-    def script(angle: Any) -> Any:
-        qml.RX(angle, wires="a")
-        qml.CNOT(["a", "b"])
-        return qml.expval(qml.Z("b"))
-
-    angle = qml.numpy.array(0.4, requires_grad=True)
-    node = qml.QNode(script, FastDevice(wires=["a", "b"]))
-    assert np.isclose(node(angle), np.cos(0.4))
-    assert np.isclose(qml.grad(node)(angle), -np.sin(0.4))
-
-
 @pytest.mark.parametrize("method", ["adjoint", "device", "best"])
 def test_device_takes_the_gradient_methods_of_other_simulators(method: str) -> None:
     node = qml.QNode(lambda x: qml.RX(x, wires=0) and qml.expval(qml.Z(0)), FastDevice(wires=1), diff_method=method)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from qnerf.quantum.blocks import Diagonal, Turn, rotations_of
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import Program
+from qnerf.quantum.program import PRODUCTS, Factors, Program
 from qnerf.quantum.words import Word
 
 
@@ -96,6 +96,60 @@ class Inputs:
         return x if self.table is None else self.table(x, weights)
 
 
+_LEFT = np.array([
+    [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]],
+    [[0, 0, -1, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, -1, 0, 0]],
+    [[0, 0, 0, -1], [0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0]],
+], dtype=np.float64)  # fmt: skip
+"""-iX, -iY and -iZ on the left of w - i(x X + y Y + z Z), as matrices on (w, x, y, z)."""
+
+
+LEAST = 0.1  # of |sin theta|, for angles of Euler to have derivatives: rounding grows by its inverse
+TINY = 1e-300  # in place of a xi of 0 that has derivatives
+
+
+class Products:
+    """Products of rotations of one wire as RZ(omega) RY(theta) RX(xi) RZ(phi), up to a sign.
+
+    Where theta is a multiple of pi, phi and omega are one angle, and their derivatives would not exist. Near there
+    (`LEAST`) omega is a number without derivatives; the other three have some of all orders. Those of xi are not zero
+    then, and its value is TINY. Else xi is 0, without derivatives.
+    """
+
+    def __init__(self, products: Sequence[Factors], parameters: dict[str, tuple[int, ...]]) -> None:
+        longest = max(map(len, products))
+        factors = [(*own, *[(Word(0, 1, 0), Expression())] * (longest - len(own))) for own in products]
+        self.table = ExpressionTable([angle for own in factors for _, angle in own], parameters, fixed=True)
+        self.left = np.array([[_LEFT[0 if not word.z else 1 if word.x else 2] for word, _ in own] for own in factors])
+
+    def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
+        """phi, theta, xi and omega of each product, flat, float64."""
+        left = torch.from_numpy(self.left).to(weights.device)
+        half = self.table(x, weights).reshape(*left.shape[:2], 1, 1) / 2
+        steps = half.cos() * torch.eye(4, dtype=left.dtype, device=left.device) + half.sin() * left
+        product = steps[:, 0, :, :1]
+        for place in range(1, steps.shape[1]):
+            product = steps[:, place] @ product
+        product = product[..., 0]
+        w, x_, y, z = product.unbind(1)
+        regular = ((w.square() + z.square()) * (x_.square() + y.square()) > LEAST**2 / 4).detach()
+        harmless = torch.where(regular[:, None], product, torch.ones_like(product))  # no derivative is infinite
+        omega = torch.where(regular, _omega(harmless), _omega(product.detach()))
+        c, s = (omega / 2).cos(), (omega / 2).sin()
+        w, x_, y, z = c * w + s * z, c * x_ + s * y, c * y - s * x_, c * z - s * w
+        phi = torch.atan2(2 * (w * z + x_ * y), w * w + y * y - x_ * x_ - z * z)
+        theta = torch.atan2(2 * (w * y + x_ * z), w * w + z * z - x_ * x_ - y * y)
+        xi = torch.asin(2 * (w * x_ - y * z))
+        xi = torch.where(regular, torch.zeros_like(xi), xi - xi.detach() + TINY)
+        return torch.stack([phi, theta, xi, omega], 1).flatten()
+
+
+def _omega(product: Tensor) -> Tensor:
+    """The last angle of Euler of products (..., 4)."""
+    w, x, y, z = product.unbind(1)
+    return torch.atan2(z, w) + torch.atan2(-x, y)
+
+
 class Angles:
     """The angles of a program: the different ones, and which of them each rotation has.
 
@@ -127,7 +181,9 @@ class Angles:
                 ))  # fmt: skip
             self.rotations.append(rows)
             self.phases.append(constant_phases(constants, program.wires) if constants else None)
-        self.fixed = ExpressionTable(list(fixed), parameters, fixed=True)
+        products = program.products
+        self._products = Products(products, parameters) if products else None
+        self._fixed = ExpressionTable(list(fixed), parameters | {PRODUCTS: (4 * len(products),)}, fixed=True)
         self.inputs = Inputs(list(moving), parameters)
         used = [*fixed, *moving, *(Expression.of(value) for part in program.start for value in part.angles)]
         self.takes_all = (
@@ -135,6 +191,12 @@ class Angles:
             and any(angle.features for angle in used)
             and any(angle.weights for angle in used)
         )
+
+    def fixed(self, x: Tensor, weights: Tensor) -> Tensor:
+        """The fixed angles (1, F) for flat weights."""
+        if self._products is not None:
+            weights = torch.cat([weights.double(), self._products(x, weights)])
+        return self._fixed(x, weights)
 
 
 def constant_phases(angles: dict[int, float], wires: int) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The blocks of a program: what each of them does, and which rotations and CNOTs can pass it."""
 
+import operator
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -8,43 +9,51 @@ from qnerf.quantum.words import Word, through_cnot
 
 
 @dataclass
-class Diagonal:
-    """exp(-i/2 sum_m angles[m] Z_m) for products of Z on the wires of each mask m."""
+class _Rotations:
+    """One angle for each key, the wires of its rotation as bits."""
 
     angles: dict[int, Expression] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.touched = union(Word(0, mask, 0) for mask in self.angles)[1]
 
+    def add(self, word: Word, angle: Expression) -> None:
+        add_angle(self.angles, word.support, angle)
+        self.touched |= word.support
+
+    def passes_cnot(self, control: int, target: int) -> bool:
+        return not self.touched & (control | target)
+
+
+class Diagonal(_Rotations):
+    """exp(-i/2 sum_m angles[m] Z_m) for products of Z on the wires of each mask m."""
+
     def commutes(self, word: Word) -> bool:
         return not word.x & self.touched or all((word.x & mask).bit_count() % 2 == 0 for mask in self.angles)
-
-    def add(self, word: Word, angle: Expression) -> None:
-        add_angle(self.angles, word.z, angle)
-        self.touched |= word.z
 
     def passes_cnot(self, control: int, target: int) -> bool:
         return not self.touched & target
 
+    @property
+    def joins_cnots(self) -> bool:
+        """Whether engines apply it together with CNOTs: constants, and fixed phases of one wire each."""
+        one_wire = (mask.bit_count() == 1 and not angle.features for mask, angle in self.angles.items())
+        constant = (angle.constant is not None for angle in self.angles.values())
+        return all(map(operator.or_, one_wire, constant))
 
-@dataclass
-class RYLayer:
+
+class RYLayer(_Rotations):
     """RY(angles[bit]) on the wire of each bit. No angle depends on the input."""
-
-    angles: dict[int, Expression] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.touched = union(Word(0, bit, 0) for bit in self.angles)[1]
 
     def commutes(self, word: Word) -> bool:
         return not (word.x ^ word.z) & self.touched
 
-    def add(self, word: Word, angle: Expression) -> None:
-        add_angle(self.angles, word.x, angle)
-        self.touched |= word.x
 
-    def passes_cnot(self, control: int, target: int) -> bool:
-        return not self.touched & (control | target)
+class Tilts(_Rotations):
+    """RX(angles[bit]) on the wire of each bit. Every angle is 0 and has derivatives (`angles.Products`)."""
+
+    def commutes(self, word: Word) -> bool:
+        return not word.z & self.touched
 
 
 @dataclass
@@ -90,15 +99,16 @@ class Turn:
         return not (self.word.z & target or self.word.x & control)
 
 
-Block = Diagonal | RYLayer | CNOTs | Turn
+Block = Diagonal | RYLayer | Tilts | CNOTs | Turn
 
 
 def rotations_of(block: Block, n: int) -> list[tuple[Word, Expression]]:
     """The rotations of a block, which commute; none for CNOTs."""
     if isinstance(block, Diagonal):
         return [(Word(0, mask, 0), angle) for mask, angle in block.angles.items()]
-    if isinstance(block, RYLayer):
-        return [(Word(bit, bit, 1), angle) for bit, angle in block.angles.items()]
+    if isinstance(block, RYLayer | Tilts):
+        own = isinstance(block, RYLayer)
+        return [(Word(bit, bit * own, int(own)), angle) for bit, angle in block.angles.items()]
     return [(block.word, block.angle)] if isinstance(block, Turn) else []
 
 

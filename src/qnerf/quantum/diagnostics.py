@@ -18,7 +18,6 @@ from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
 from qnerf.quantum.angles import offsets
-from qnerf.quantum.blocks import rotations_of
 from qnerf.quantum.circuit import Circuit, Gate
 from qnerf.quantum.cones import TooLarge, scales_of
 from qnerf.quantum.effects import without_effect as without_effect
@@ -283,17 +282,12 @@ def _encodings(circuit: Circuit) -> Tensor:
     try:
         if own.start_moves:
             raise TooLarge("its start depends on the input")
-        scales_of(own.blocks, circuit)
+        scales = scales_of(own.blocks, circuit)
     except TooLarge as error:
         raise ValueError(f"surrogate expects a circuit whose spectrum is known, got {circuit.name}: {error}") from None
-    rows = [
-        (factor, features[0])
-        for block in own.blocks
-        for _, angle in rotations_of(block, circuit.wires)
-        for factor, _, features in angle.parts()[1].terms
-    ]
+    rows = [(feature, factor) for feature, factors in scales.items() for factor in factors]
     out = torch.zeros(len(rows), circuit.features or 0, dtype=torch.float64)
-    for row, (factor, feature) in enumerate(rows):
+    for row, (feature, factor) in enumerate(rows):
         out[row, feature] = factor
     return out
 

@@ -91,7 +91,8 @@ def _angles_of_outputs(circuit: Circuit) -> list[list[Expression]]:
         angles: list[Expression] = []
         for block in reversed(found.blocks):
             own, x, z = traced(block, x, z)
-            angles += [angle for _, angle in rotations_of(own, circuit.wires)] if own is not None else []
+            for _, angle in rotations_of(own, circuit.wires) if own is not None else ():
+                angles += found.sources(angle)
         for part in found.start:
             if any(bit(wire, circuit.wires) & (x | z) for wire in part.wires):
                 angles += map(Expression.of, part.angles)

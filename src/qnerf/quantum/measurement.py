@@ -1,18 +1,20 @@
 """Circuits measured as on hardware: with finitely many shots or noisy gates."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.config.bounds import PositiveInt, check
 from qnerf.kernels import is_transformed
 from qnerf.quantum import density, pauli_errors
-from qnerf.quantum.circuit import Circuit, Probabilities, values_of
+from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.noise import Noise
 from qnerf.quantum.pauli_errors import Exact
-from qnerf.quantum.readout import Measured, as_read, measured
+from qnerf.quantum.program import Program, unmerged
+from qnerf.quantum.readout import as_read
 from qnerf.quantum.simulator import simulator_of
 
 NoiseMethod = Literal["auto", "density", "sampled"]
@@ -51,16 +53,10 @@ class Conditions:
     outputs: int = field(init=False, repr=False, default=0)
 
     def __post_init__(self) -> None:
-        if self.shots is not None and (
-            isinstance(self.shots, bool) or not isinstance(self.shots, int) or self.shots < 1
-        ):
-            raise ValueError(f"shots expects a positive integer or None, got {self.shots!r}")
-        if self.noise is not None and not isinstance(self.noise, Noise):
-            raise ValueError(f"noise expects a Noise, a depolarizing probability or None, got {self.noise!r}")
-        if self.method not in get_args(NoiseMethod):
-            raise ValueError(f"method: unknown {self.method!r}; known: {', '.join(get_args(NoiseMethod))}")
-        if isinstance(self.patterns, bool) or not isinstance(self.patterns, int) or self.patterns < 1:
-            raise ValueError(f"patterns expects a positive integer, got {self.patterns!r}")
+        for name, kind in (
+            ("shots", PositiveInt | None), ("noise", Noise | None), ("method", NoiseMethod), ("patterns", PositiveInt),
+        ):  # fmt: skip
+            check(name, getattr(self, name), kind)
         if self.seed is not None:
             self.random = np.random.default_rng(self.seed)
 
@@ -101,8 +97,8 @@ def measure(circuit: Circuit, x: Tensor, weights: Tensor, exact: Exact, conditio
     """
     if conditions.seed is None:
         conditions.random = np.random.default_rng(int(torch.randint(2**62, ())))
-    found = measured(circuit)
-    if not found.values or (conditions.shots is None and not conditions.noisy):
+    found = unmerged(circuit)
+    if not found.read or (conditions.shots is None and not conditions.noisy):
         out = exact(x, weights)
         return out if conditions.gradients or is_transformed(x, weights) else _without_gradient(out, x, weights)
     if is_transformed(x, weights):
@@ -124,11 +120,11 @@ def _without_gradient(out: Tensor, x: Tensor, weights: Tensor) -> Tensor:
 
 
 def _expected(
-    circuit: Circuit, found: Measured, x: Tensor, weights: Tensor, exact: Exact, conditions: Conditions
+    circuit: Circuit, found: Program, x: Tensor, weights: Tensor, exact: Exact, conditions: Conditions
 ) -> Tensor:
     """The exact values (B, values), with the errors of gates and of the readout."""
     noise = conditions.noise or Noise()
-    own = replace(circuit, observables=found.observables)
+    own = replace(circuit, observables=found.read)
     if own.observables != circuit.observables:
         exact = simulator_of(own)
     if conditions.is_sampled(own):
@@ -146,21 +142,20 @@ def _expected(
     return as_read(found, values, noise)
 
 
-def _drawn(found: Measured, expected: Tensor, conditions: Conditions) -> Tensor:
+def _drawn(found: Program, expected: Tensor, conditions: Conditions) -> Tensor:
     """Values that are means of finitely many shots; `expected` itself without a number of shots."""
     shots = conditions.shots
     if shots is None:
         return expected
     drawn = torch.empty_like(expected)
-    words = [k for k, observable in zip(found.places, found.observables, strict=True) if isinstance(observable, tuple)]
-    drawn[:, words] = binomial(expected[:, words], shots, conditions.random)
-    for first, observable in zip(found.places, found.observables, strict=True):
-        if isinstance(observable, Probabilities):
-            table = slice(first, first + values_of(observable))
-            exact = expected[:, table].detach()
-            chances = np.clip(np.nan_to_num(exact.double().cpu().numpy()), 0, 1)
-            counts = conditions.random.multinomial(shots, chances / np.maximum(chances.sum(1, keepdims=True), 1))
-            drawn[:, table] = torch.from_numpy(counts / shots).to(expected).where(exact == exact, torch.nan)
+    first = len(found.words)
+    drawn[:, :first] = binomial(expected[:, :first], shots, conditions.random)
+    for size in found.outcomes:
+        table = slice(first, first := first + size)
+        exact = expected[:, table].detach()
+        chances = np.clip(np.nan_to_num(exact.double().cpu().numpy()), 0, 1)
+        counts = conditions.random.multinomial(shots, chances / np.maximum(chances.sum(1, keepdims=True), 1))
+        drawn[:, table] = torch.from_numpy(counts / shots).to(expected).where(exact == exact, torch.nan)
     return drawn
 
 

@@ -8,7 +8,7 @@ It has the derivatives of what was drawn.
 Each pattern is the same circuit with Pauli gates in it. Its program carries them to the end, where they turn signs.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,22 +43,12 @@ def evaluate(
         final: an affine function of the outputs.
     """
     clean, *errors = draw(spots(circuit), noise, patterns, random)
-    return mean_of(clean, exact(x, weights), of_patterns(circuit, x, weights, *errors), final)
-
-
-def spots(circuit: Circuit) -> list[int]:
-    """Where errors can happen: the wires of each gate, in order. Each is given by the number of wires of its gate."""
-    return [len(gate.wires) for gate in circuit.gates for _ in gate.wires]
-
-
-def mean_of(clean: float, without: Tensor, drawn: Iterable[Tensor], final: Final) -> tuple[Tensor, Tensor]:
-    """The mean outputs of all runs, and the standard errors of final(outputs).
-
-    clean: the share of runs without an error, whose outputs are `without`. drawn: outputs with drawn errors.
-    """
-    mean, count = torch.zeros_like(without), 0
+    without = exact(x, weights)
+    mean = torch.zeros_like(without)
     center = squares = torch.zeros_like(final(without).detach())
-    for count, values in enumerate(drawn, start=1):
+    count = 0
+    for count, pattern in enumerate(zip(*errors, strict=True), start=1):
+        values = Simulator(with_errors(circuit, *pattern))(x, weights)
         mean = mean + (values - mean) / count
         out = final(values).detach()
         change = out - center
@@ -68,6 +58,11 @@ def mean_of(clean: float, without: Tensor, drawn: Iterable[Tensor], final: Final
         return without, squares
     error = (1 - clean) * (squares / (count - 1) / count).sqrt() if count > 1 else squares * torch.nan
     return clean * without + (1 - clean) * mean, error
+
+
+def spots(circuit: Circuit) -> list[int]:
+    """Where errors can happen: the wires of each gate, in order. Each is given by the number of wires of its gate."""
+    return [len(gate.wires) for gate in circuit.gates for _ in gate.wires]
 
 
 def draw(
@@ -92,14 +87,6 @@ def draw(
     upper = np.cumsum(probabilities, 1) / np.where(total > 0, total, 1)[:, None]
     letter = random.random((patterns, len(total)))
     return clean, happens & (letter < upper[:, 1]), happens & (letter >= upper[:, 0])
-
-
-def of_patterns(
-    circuit: Circuit, x: Tensor, weights: Tensor, x_errors: np.ndarray, z_errors: np.ndarray
-) -> Iterator[Tensor]:
-    """Outputs (B, outputs) with each pattern of errors: boolean (patterns, spots), X part and Z part."""
-    for own in zip(x_errors, z_errors, strict=True):
-        yield Simulator(with_errors(circuit, *own))(x, weights)
 
 
 def with_errors(circuit: Circuit, x_errors: np.ndarray, z_errors: np.ndarray) -> Circuit:

@@ -61,11 +61,6 @@ def _product(word: PauliWord) -> Any:
     return qml.prod(*letters) if len(letters) > 1 else letters[0] if letters else qml.Identity(0)
 
 
-def observables(circuit: Circuit) -> list[Any]:
-    """The circuit's Pauli words as PennyLane observables."""
-    return [_product(word) for word in circuit.words]
-
-
 def measurements(circuit: Circuit) -> list[Any]:
     """What the circuit measures, as PennyLane's measurements."""
     import pennylane as qml

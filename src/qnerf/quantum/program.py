@@ -1,17 +1,18 @@
 """A circuit as a program: a short list of blocks that every engine runs, then what is measured.
 
-Every gate is a product of rotations exp(-i angle/2 P) about Pauli words P (`gates`). They become four kinds of blocks:
+Every gate is a product of rotations exp(-i angle/2 P) about Pauli words P (`gates`). They become these blocks:
 
 - `Diagonal`: rotations about words of Z's, one phase for each amplitude;
 - `RYLayer`: RY on some wires, by angles without data: real, and fast for many wires at once;
+- `Tilts`: no rotation, but derivatives of one;
 - `CNOTs`: a permutation of the amplitudes;
 - `Turn`: a rotation about any other word.
 
-A rotation joins the earliest block of its kind that it can move back to, past all that it commutes with. So gates
-merge, in whatever order they are written. Rotations by pi are Pauli words: they are carried to the end of the circuit,
-and turn signs of angles on their way. RX is RY between fixed phases; a rotation by data is RZ between fixed rotations.
-Two equal CNOTs with phases between them become other phases. What has no effect on the start or on what is measured is
-left out.
+From `PRODUCT_WIRES` on, a product of rotations of one wire is RZ RY RZ with angles of each step (`angles.Products`); a
+rotation by data is RZ between fixed rotations. A rotation joins the earliest block of its kind that it can move back to, past
+all that it commutes with. So gates merge, in whatever order they are written. Rotations by pi are Pauli words: they are
+carried to the end of the circuit, and turn signs of angles on their way. Two equal CNOTs with phases between them
+become other phases. What has no effect on the start or on what is measured is left out.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> found = program(ANSATZE.build("qiren", 4, 1))
@@ -21,13 +22,15 @@ left out.
 3
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import chain, zip_longest
 from math import pi
-from typing import Literal
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from qnerf.quantum.basis import bit
 from qnerf.quantum.blocks import (
@@ -35,8 +38,8 @@ from qnerf.quantum.blocks import (
     CNOTs,
     Diagonal,
     RYLayer,
+    Tilts,
     Turn,
-    add_angle,
     moves,
     rotations_of,
     traced,
@@ -44,15 +47,21 @@ from qnerf.quantum.blocks import (
     union,
 )
 from qnerf.quantum.circuit import Circuit, Gate, Observable, PauliWord, Probabilities, as_sum, values_of
-from qnerf.quantum.expressions import Expression
+from qnerf.quantum.expressions import Expression, weight
 from qnerf.quantum.gates import Amplitudes
 from qnerf.quantum.words import Word, bits, through_cnot
 
 TOLERANCE = 1e-13  # an angle this near to a multiple of pi, in units of pi, is one
 LARGEST_MULTIPLE = 64  # beyond, the rounding of the angle says nothing about multiples of pi
-TURN_COST, LAYER_COST, CNOT_COST = 19, 8, 8
-"""Multiply-adds for each amplitude, forward and backward, or what takes as long: of a turn, of a wire in a layer of RY,
-of a permutation."""
+TURN_COST, LAYER_COST, TILT_COST, CNOT_COST = 19, 8, 2, 8
+"""Multiply-adds for each amplitude, forward and backward, or what takes as long: of a turn, of a wire in a layer of RY
+or of tilts, of a permutation."""
+
+
+PRODUCT_WIRES = 7  # below, a layer of the state is quicker than working out the angles of a product
+PRODUCTS = "one-wire products"  # no identifier, as names of weights are
+Factors = tuple[tuple[Word, Expression], ...]
+Product = list[tuple[Word, Expression]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +76,8 @@ class Program:
         combination: (outputs, words and outcomes of the tables); outputs = combination @ values + constants. None where
             the outputs are the values.
         constants: (outputs,).
+        products: rotations of one wire, in the order in which they act; the weights PRODUCTS are their angles
+            phi, theta, xi, omega, one product after the other.
     """
 
     circuit: Circuit
@@ -75,6 +86,7 @@ class Program:
     words: tuple[Word, ...]
     combination: np.ndarray | None
     constants: np.ndarray
+    products: tuple[Factors, ...]
 
     @property
     def wires(self) -> int:
@@ -84,6 +96,12 @@ class Program:
     def start(self) -> tuple[Amplitudes, ...]:
         """What sets the amplitudes of the start; empty for |0...0>."""
         return tuple(operation for operation in self.circuit.operations if isinstance(operation, Amplitudes))
+
+    def sources(self, angle: Expression) -> list[Expression]:
+        """What an angle depends on: its terms, and the factors of products in it."""
+        own = Expression(tuple(term for term in angle.terms if not any(name == PRODUCTS for name, _ in term[1])))
+        products = {index // 4 for name, index in angle.weights if name == PRODUCTS}
+        return [own, *(factor for index in sorted(products) for _, factor in self.products[index])]
 
     @cached_property
     def start_moves(self) -> bool:
@@ -104,6 +122,24 @@ class Program:
     def outcomes(self) -> tuple[int, ...]:
         """Number of probabilities of each `Probabilities`."""
         return tuple(values_of(each) for each in self.circuit.observables if isinstance(each, Probabilities))
+
+    @cached_property
+    def read(self) -> tuple[PauliWord | Probabilities, ...]:
+        """What a device would read one by one: the words, then the probabilities."""
+        letters = {bit(wire, self.wires): wire for wire in range(self.wires)}
+        words = [
+            tuple(
+                (letters[own], "X" if not own & word.z else "Y" if own & word.x else "Z") for own in bits(word.support)
+            )
+            for word in self.words
+        ]
+        return (*words, *(each for each in self.circuit.observables if isinstance(each, Probabilities)))
+
+    def outputs(self, values: Tensor) -> Tensor:
+        """Outputs (B, outputs) for the values (B, values) of the words and of the outcomes."""
+        if self.combination is None:
+            return values
+        return values @ torch.from_numpy(self.combination).to(values).T + torch.from_numpy(self.constants).to(values)
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, ...]:
@@ -131,20 +167,35 @@ class Program:
         return isinstance(last, RYLayer) and single and not self.outcomes and self.fixed_blocks < len(self.blocks) - 1
 
     @cached_property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The places of the blocks, without a last layer that is measured; CNOTs with the fixed phases beside them."""
+        groups: list[tuple[int, ...]] = []
+        for place, block in enumerate(self.blocks[: len(self.blocks) - self.measures_last_layer]):
+            last = self.blocks[groups[-1][-1]] if groups else None
+            before, after = (isinstance(own, Diagonal) and own.joins_cnots for own in (last, block))
+            before = before and isinstance(block, CNOTs) and len(groups[-1]) == 1
+            if before or (after and isinstance(last, CNOTs)):
+                groups[-1] += (place,)
+            else:
+                groups.append((place,))
+        return tuple(groups)
+
+    @cached_property
     def operations(self) -> int:
         """Multiply-adds for each sample, forward and backward; the backward pass runs the forward pass again."""
-        n, total = self.wires, 0
-        blocks = self.blocks[self.fixed_blocks : len(self.blocks) - self.measures_last_layer]
-        for block in blocks:
-            total += _cost(block, n)
-        values = len(self.words) + 2 * len(self.outcomes)
-        total += 3 * n + 9 if self.measures_last_layer else 7 * values + 2
+        n = self.wires
+        run = [group for group in self.groups if self.fixed_blocks <= group[0]]
+        total = sum(_cost(self.blocks[group[0]], n) if len(group) == 1 else CNOT_COST + 5 * len(group) for group in run)
+        others = sum(word.x != 0 for word in self.words) + 2 * len(self.outcomes)
+        total += 3 * n + 9 if self.measures_last_layer else 2 * n + 7 * others + 2
         return 2**n * (total + 8 * self.start_moves + 4)
 
 
 def _cost(block: Block, n: int) -> int:
     if isinstance(block, RYLayer):
         return LAYER_COST * n
+    if isinstance(block, Tilts):
+        return TILT_COST * n
     if isinstance(block, CNOTs):
         return CNOT_COST
     if isinstance(block, Turn):
@@ -153,26 +204,10 @@ def _cost(block: Block, n: int) -> int:
     return (25 if moves(block) else 13) + (n + 6 * several if several else 0)
 
 
-Style = Literal["phases", "turns", "words"]
-"""Rotations RX and RY by data are phases between fixed rotations, or turns; or all rotations but phases are turns, and
-CNOTs turn their words."""
-
-
 @lru_cache(maxsize=256)
 def program(circuit: Circuit) -> Program:
-    """The cheapest program of a circuit."""
-    return min((_built(circuit, style) for style in _styles(circuit)), key=lambda each: each.operations)
-
-
-def _styles(circuit: Circuit) -> list[Style]:
-    """The styles that make a difference to a circuit."""
-    styles: list[Style] = ["phases"]
-    turned = (gate.angle_of(part) for gate in circuit.gates for part in gate.rotations if set(part.letters) & set("XY"))
-    if any(angle.features for angle in turned):
-        styles.append("turns")
-    if any(gate.name in ("CNOT", "SWAP") for gate in circuit.gates):
-        styles.append("words")
-    return styles
+    """The cheaper program of a circuit: with new blocks as early, or as late, as they can be."""
+    return min((_built(circuit, late) for late in (False, True)), key=lambda each: each.operations)
 
 
 @lru_cache(maxsize=256)
@@ -184,33 +219,39 @@ def unmerged(circuit: Circuit) -> Program:
             blocks.append(CNOTs([(bit(gate.wires[0], circuit.wires), bit(gate.wires[1], circuit.wires))]))
         else:
             words = ((Word.of(part.letters, gate.wires, circuit.wires), gate.angle_of(part)) for part in gate.rotations)
-            blocks += [Turn(word, angle) for word, angle in words]
-    return _Measured(circuit.observables, lambda word: word, Word(0, 0, 0), circuit.wires).program(
-        circuit, tuple(blocks)
-    )
+            blocks += [Turn(word, angle) for word, angle in words if angle.terms]
+    return _Measured(circuit.observables, Word(0, 0, 0), circuit.wires).program(circuit, tuple(blocks))
 
 
-def _built(circuit: Circuit, style: Style) -> Program:
-    builder = _Builder(circuit, style)
-    for operation in circuit.operations:
-        if isinstance(operation, Gate):
-            builder.add_gate(operation)
+def _built(circuit: Circuit, late: bool) -> Program:
+    builder = _Builder(circuit, late)
+    for gate, ready in zip(circuit.gates, _ready(circuit), strict=True):
+        builder.flush(ready)
+        builder.add_gate(gate)
     return builder.finish()
+
+
+def _ready(circuit: Circuit) -> list[int]:
+    """For each gate of several wires those, as bits, whose next gate is one of several wires, too."""
+    ready, out = 0, []
+    for gate in reversed(circuit.gates):
+        own = sum(bit(wire, circuit.wires) for wire in gate.wires)
+        ready = ready | own if len(gate.wires) > 1 else ready & ~own
+        out.append(ready if len(gate.wires) > 1 else 0)
+    return out[::-1]
 
 
 class _Builder:
     """The blocks so far, and the Pauli word that is carried behind them."""
 
-    def __init__(self, circuit: Circuit, style: Style) -> None:
-        self.circuit, self.n, self.style = circuit, circuit.wires, style
+    def __init__(self, circuit: Circuit, late: bool) -> None:
+        self.circuit, self.n, self.late = circuit, circuit.wires, late
         self.blocks: list[Block] = []
+        self.products: list[Product] = []
         self.carried = Word(0, 0, 0)
-        self.waiting: dict[int, tuple[Word, Expression]] = {}  # wire -> its last rotation, which may grow
+        self.waiting: dict[int, Product] = {}  # wire -> its last rotations, which may grow
         taken = {wire for part in circuit.operations if isinstance(part, Amplitudes) for wire in part.wires}
         self.zero = sum(bit(wire, self.n) for wire in range(self.n) if wire not in taken)  # wires still in |0>
-        # What the CNOTs so far make of X and Z of each wire, where they turn words.
-        self.of_x = {1 << place: 1 << place for place in range(self.n)}
-        self.of_z = dict(self.of_x)
 
     def add_gate(self, gate: Gate) -> None:
         pairs = {"CNOT": [(0, 1)], "SWAP": [(0, 1), (1, 0), (0, 1)]}.get(gate.name)
@@ -224,65 +265,72 @@ class _Builder:
 
     def add(self, word: Word, angle: Expression) -> None:
         """A rotation about a word, at the end of the circuit."""
-        image = self.image(word)
-        word, place = image.letters, image.support
-        if image.sign < 0:
-            angle = -angle
-        before, waiting = self.waiting.get(place, (None, Expression()))
-        if before != word:
-            self.flush(place)
-        if not self.carried.commutes(word):
-            angle = -angle
-        if before == word:
-            self.waiting[place] = word, waiting + angle
-        elif word.x and place.bit_count() == 1:
-            self.waiting[place] = word, angle
+        place = word.support
+        if place.bit_count() == 1 and (word.x or place in self.waiting):
+            _append(self.waiting.setdefault(place, []), word, angle)
+            return
+        self.flush(place)
+        angle = self._carried_past(word, angle)
+        if word.x:
+            self._join(Turn, word, angle)
         else:
-            self._place(word, angle)
+            self._phase(word, angle)
+
+    def _carried_past(self, word: Word, angle: Expression) -> Expression:
+        """The angle behind the carried word; nothing is left of multiples of pi, which join that word."""
+        turns = half_turns(angle)
+        if turns is None:
+            return angle if self.carried.commutes(word) else -angle
+        if turns % 2:
+            self.carried = self.carried * word
+        return Expression()
 
     def flush(self, wires: int) -> None:
-        """Places the last rotations of these wires."""
-        for place in [place for place in self.waiting if place & wires]:
-            self._place(*self.waiting.pop(place))
+        """Places the last rotations of these wires, side by side: phases, tilts and RY of all of them in turn."""
+        found = [self._slots(place) for place in [place for place in self.waiting if place & wires]]
+        for place, slots in enumerate(zip_longest(*found, fillvalue=())):
+            for word, angle in chain(*slots):
+                if place % 3 == 0:
+                    self._phase(word, angle)
+                else:
+                    self._join(Tilts if place % 3 == 1 else RYLayer, word, angle)
 
-    def image(self, word: Word) -> Word:
-        """The word before the CNOTs that turn words."""
-        if self.style != "words":
-            return word
-        x = z = 0
-        for place in bits(word.x):
-            x ^= self.of_x[place]
-        for place in bits(word.z):
-            z ^= self.of_z[place]
-        return Word(x, z, word.phase)
+    def _slots(self, place: int) -> list[Product]:
+        """The waiting rotations of a wire as phases, tilts, RY, phases, and so on in turn."""
+        slots: list[Product] = [[]]
+        core: Product = []  # rotations without data, the first of them about X or Y
+        for word, angle in _with_moving_phases(self.waiting.pop(place)):
+            angle = self._carried_past(word, angle)
+            if word.x or (core and not angle.features):
+                _append(core, word, angle)
+            else:
+                slots[-1:] = self._turned(slots[-1], core, place)
+                slots[-1].append((word, angle))
+                core = []
+        slots[-1:] = self._turned(slots[-1], core, place)
+        return slots
 
-    def _place(self, word: Word, angle: Expression) -> None:
-        turns = half_turns(angle)
-        if turns is not None:
-            if turns % 2:
-                self.carried = self.carried * word
-        elif word.x == 0:
-            self._phase(word, angle)
-        elif word.support.bit_count() > 1 or self.style == "words" or (angle.features and self.style == "turns"):
-            self._join(Turn, word, angle)
-        elif angle.features:
-            self._place_moving(word, angle)
-        else:
-            # RY, or RX = RZ(-pi/2) RY RZ(pi/2).
-            quarter, z = Expression.of(0.0 if word.z else pi / 2), Word(0, word.x, 0)
-            self._phase(z, quarter)
-            self._join(RYLayer, Word(word.x, word.x, 1), angle)
-            self._phase(z, -quarter)
-
-    def _place_moving(self, word: Word, angle: Expression) -> None:
-        """RX(a) = RY(pi/2) RZ(a) RY(-pi/2), or RY(a) = RZ(pi/2) RX(a) RZ(-pi/2), by an angle that depends on data."""
-        quarter, own = Expression.of(pi / 2), Expression.of(pi / 2 if word.z else 0.0)
-        y, z = Word(word.x, word.x, 1), Word(0, word.x, 0)
-        self._phase(z, -own)
-        self._join(RYLayer, y, -quarter)
-        self._phase(z, angle)
-        self._join(RYLayer, y, quarter)
-        self._phase(z, own)
+    def _turned(self, phases: Product, core: Product, place: int) -> list[Product]:
+        """Phases, and rotations after them, as phases, tilts, RY and phases."""
+        if not core:
+            return [phases]
+        x, y, z = Word(place, 0, 0), Word(place, place, 1), Word(0, place, 0)
+        after = [core.pop()] if not core[-1][0].x else []
+        if len(core) == 1 or self.n < PRODUCT_WIRES:  # RY, or RX = RZ(-pi/2) RY RZ(pi/2), one after the other
+            slots = [list(phases)]
+            for word, angle in core:
+                if not word.x:
+                    slots[-1].append((word, angle))
+                    continue
+                quarter = Expression.of(0.0 if word.z else pi / 2)
+                slots[-1].append((z, quarter))
+                slots += [[], [(y, angle)], [(z, -quarter)]]
+            slots[-1] += after
+            return slots
+        phi, theta, xi, omega = (weight(PRODUCTS, 4 * len(self.products) + k) for k in range(4))
+        self.products.append(core)
+        trains = any(angle.constant is None for _, angle in core)
+        return [[*phases, (z, phi)], [(x, xi)] if trains else [], [(y, theta)], [(z, omega), *after]]
 
     def _phase(self, word: Word, angle: Expression) -> None:
         """A phase, unless |0...0> is an eigenstate. A constant one also moves back through CNOTs: it costs nothing."""
@@ -306,8 +354,10 @@ class _Builder:
             self.blocks.insert(first, found[0])
         found[0].add(found[1], angle)
 
-    def _join(self, kind: type[Diagonal] | type[RYLayer] | type[Turn], word: Word, angle: Expression) -> None:
+    def _join(self, kind: type[Diagonal | RYLayer | Tilts | Turn], word: Word, angle: Expression) -> None:
         """Adds a rotation to the earliest block of its kind that it can move back to, or to a new one."""
+        if not angle.terms:
+            return
         self.zero &= ~word.x
         first = self._reached(lambda block: block.commutes(word))
         for block in self.blocks[first:]:
@@ -316,7 +366,7 @@ class _Builder:
                 return
         new = Turn(word.letters, Expression()) if kind is Turn else kind()  # type: ignore[call-arg]
         new.add(word, angle)
-        self.blocks.insert(first, new)
+        self.blocks.insert(len(self.blocks) if self.late else first, new)
 
     def _reached(self, passes: Callable[[Block], bool]) -> int:
         """The first place that an operation reaches on its way back."""
@@ -326,10 +376,6 @@ class _Builder:
         return place
 
     def add_cnot(self, control: int, target: int) -> None:
-        if self.style == "words":
-            self.of_x[control] ^= self.of_x[target]
-            self.of_z[target] ^= self.of_z[control]
-            return
         self.flush(control | target)
         self.carried = through_cnot(self.carried, control, target)
         if control & self.zero:
@@ -358,6 +404,7 @@ class _Builder:
                         del block.pairs[k]
                         for each in turned:
                             turn_phases(each, control, target)
+                        self.blocks = _merged(own for own in self.blocks if own is not block or block.pairs)
                         return True
                     if a == target or b == control:
                         return False
@@ -370,7 +417,7 @@ class _Builder:
     def finish(self) -> Program:
         observables = self._as_z()
         self.flush(-1)
-        measured = _Measured(observables, self.image, self.carried, self.n)
+        measured = _Measured(observables, self.carried, self.n)
         kept: list[Block] = []
         x, z = measured.union()
         for block in reversed(self.blocks):
@@ -381,7 +428,9 @@ class _Builder:
             own, x, z = traced(block, x, z)
             if own is not None:
                 kept.append(own)
-        return measured.program(self.circuit, tuple(_joined(kept[::-1], self.n)))
+        return measured.program(
+            self.circuit, tuple(_small_layers_turned(_merged(kept[::-1]), self.n)), tuple(map(tuple, self.products))
+        )
 
     def _as_z(self) -> tuple[Observable, ...]:
         """The observables; where each is one letter and every wire has one letter, as Z after a rotation."""
@@ -397,19 +446,24 @@ class _Builder:
         return tuple(((word[0][0], "Z"),) for word in observables if isinstance(word, tuple))
 
 
-def _joined(blocks: list[Block], n: int) -> list[Block]:
-    """The blocks, neighbours of one kind as one, and small RY layers as turns, unless they are the last block."""
+def _merged(blocks: Iterable[Block]) -> list[Block]:
+    """The blocks, neighbours of one kind as one."""
     out: list[Block] = []
     for block in blocks:
         last = out[-1] if out else None
-        if isinstance(block, Diagonal | RYLayer) and type(last) is type(block):
+        if isinstance(block, Diagonal | RYLayer | Tilts) and type(last) is type(block):
             for mask, angle in block.angles.items():
-                add_angle(last.angles, mask, angle)
+                last.add(Word(0, mask, 0), angle)
         else:
             out.append(block)
+    return out
+
+
+def _small_layers_turned(blocks: list[Block], n: int) -> list[Block]:
+    """The blocks with small RY layers as turns, unless they are the last block."""
     turned: list[Block] = []
-    for block in out:
-        if isinstance(block, RYLayer) and block is not out[-1] and TURN_COST * len(block.angles) < LAYER_COST * n:
+    for block in blocks:
+        if isinstance(block, RYLayer) and block is not blocks[-1] and TURN_COST * len(block.angles) < LAYER_COST * n:
             turned += [Turn(*rotation) for rotation in rotations_of(block, n)]
         else:
             turned.append(block)
@@ -423,9 +477,7 @@ def _word(word: PauliWord, n: int) -> Word:
 class _Measured:
     """What is measured, as Pauli words: those of the outputs, and Z of every wire of which bits are read."""
 
-    def __init__(
-        self, observables: tuple[Observable, ...], image: Callable[[Word], Word], carried: Word, n: int
-    ) -> None:
+    def __init__(self, observables: tuple[Observable, ...], carried: Word, n: int) -> None:
         self.observables = observables
         self.words: list[list[Word]] = []
         for observable in observables:
@@ -433,7 +485,6 @@ class _Measured:
                 words = [Word.of("Z", (wire,), n) for wire in observable.wires]
             else:
                 words = [_word(word, n) for word in as_sum(observable).words]
-            words = list(map(image, words))
             flipped = [0 if carried.commutes(word) else 2 for word in words]
             self.words.append([Word(w.x, w.z, (w.phase + f) % 4) for w, f in zip(words, flipped, strict=True)])
 
@@ -444,7 +495,7 @@ class _Measured:
         """The words before the CNOTs that equal these behind them."""
         self.words = [list(map(cnots.turned, words)) for words in self.words]
 
-    def program(self, circuit: Circuit, blocks: tuple[Block, ...]) -> Program:
+    def program(self, circuit: Circuit, blocks: tuple[Block, ...], products: tuple[Factors, ...] = ()) -> Program:
         each = zip(self.observables, self.words, strict=True)
         sums = [word for observable, words in each if not isinstance(observable, Probabilities) for word in words]
         found = dict.fromkeys(word.letters for word in sums if word.support)
@@ -466,7 +517,34 @@ class _Measured:
             row += 1
         are_values = not constants.any() and np.array_equal(combination, np.eye(rows))
         observed = tuple(map(tuple, self.words))
-        return Program(circuit, blocks, observed, tuple(columns), None if are_values else combination, constants)
+        combined = None if are_values else combination
+        return Program(circuit, blocks, observed, tuple(columns), combined, constants, products)
+
+
+def _append(factors: Product, word: Word, angle: Expression) -> None:
+    """Adds a rotation of one wire; one about the same word as the last one merges with it."""
+    if factors and factors[-1][0] == word:
+        angle = factors.pop()[1] + angle
+    if angle.terms:
+        factors.append((word, angle))
+
+
+def _with_moving_phases(factors: Product) -> Product:
+    """The rotations of one wire, those by data about Z alone.
+
+    RX(a) = RY(pi/2) RZ(a) RY(-pi/2) and RY(a) = RZ(pi/2) RX(a) RZ(-pi/2), by an angle that depends on data.
+    """
+    out: Product = []
+    quarter = Expression.of(pi / 2)
+    for word, angle in factors:
+        if not (word.x and angle.features):
+            _append(out, word, angle)
+            continue
+        y, z = Word(word.x, word.x, 1), Word(0, word.x, 0)
+        own = quarter if word.z else Expression()
+        for part, turn in ((z, -own), (y, -quarter), (z, angle), (y, quarter), (z, own)):
+            _append(out, part, turn)
+    return out
 
 
 def half_turns(angle: Expression) -> int | None:

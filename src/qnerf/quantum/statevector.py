@@ -8,7 +8,7 @@ On a GPU, what lies between two blocks of data is one matrix (`dense`): the bloc
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from math import frexp
 from typing import Any
 
@@ -20,10 +20,10 @@ from torch.utils.checkpoint import checkpoint
 from qnerf.kernels import is_transformed
 from qnerf.quantum.angles import Angles, ExpressionTable
 from qnerf.quantum.basis import bit, cnot_permutation, z_signs
-from qnerf.quantum.blocks import CNOTs, Diagonal, Turn, moves
+from qnerf.quantum.blocks import CNOTs, Diagonal, Tilts, Turn, moves
 from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import Program, program
+from qnerf.quantum.program import Program, program, unmerged
 from qnerf.quantum.words import Word
 
 GROUP = 4  # wires in one dense real matrix
@@ -39,10 +39,10 @@ Turns = tuple[Tensor, Tensor]
 
 
 class PlainCircuit:
-    """A program ready to run in plain PyTorch."""
+    """A circuit ready to run in plain PyTorch, by its own program or another one."""
 
-    def __init__(self, circuit: Circuit) -> None:
-        self.circuit, self.program = circuit, program(circuit)
+    def __init__(self, circuit: Circuit, own: Program | None = None) -> None:
+        self.circuit, self.program = circuit, own or program(circuit)
         self.angles = Angles(self.program)
         self.starts = [_Start(part, circuit) for part in self.program.start]
 
@@ -55,9 +55,7 @@ class PlainCircuit:
             values = (simulate or self.simulate)(fixed, inputs, self.start(x, weights), x.shape[0], x.dtype)
         if not self.angles.takes_all:  # what has no effect has the gradient zero
             values = values + (x[:, :0].sum() + weights[:0].sum()).to(values)
-        if form.combination is None:
-            return values
-        return values @ torch.from_numpy(form.combination).to(values).T + torch.from_numpy(form.constants).to(values)
+        return form.outputs(values)
 
     def start(self, x: Tensor, weights: Tensor) -> Tensor | None:
         """Amplitudes (1 or B, 2^n) that the circuit starts from, complex128; None for |0...0>."""
@@ -129,7 +127,8 @@ class PlainCircuit:
             torch.nn.functional.pad(part, (0, 0, 0, 1), value=none)
             for part, none in zip(still, (1.0, 0.0), strict=True)
         )
-        return _apply_ry(state, *(picked(part, index, 0) for part in padded))
+        cosine, sine = (picked(part, index, 0)[:, 0] for part in padded)
+        return _apply_layer(state, cosine, sine, isinstance(block, Tilts))
 
     def fixed_phases(self, place: int, state: Tensor, still: Turns) -> Tensor:
         """The states behind the part of a diagonal that does not depend on the input."""
@@ -260,17 +259,17 @@ def _phases(rows: list[tuple[int, int]], turns: Turns, n: int) -> Tensor:
     return phases
 
 
-def _apply_ry(state: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
-    pairs = torch.view_as_real(state.contiguous())
-    for first in range(0, len(cosine), GROUP):
-        group = range(first, min(first + GROUP, len(cosine)))
-        matrix = torch.ones(1, 1, dtype=cosine.dtype, device=cosine.device)
-        for wire in group:
-            c, s = cosine[wire, 0], sine[wire, 0]
-            matrix = torch.kron(matrix, torch.stack([torch.stack([c, -s]), torch.stack([s, c])]))
-        view = pairs.reshape(2**first, 2 ** len(group), -1)
-        pairs = torch.matmul(matrix, view).reshape(pairs.shape)
-    return torch.view_as_complex(pairs)
+def _apply_layer(state: Tensor, cosine: Tensor, sine: Tensor, about_x: bool) -> Tensor:
+    """Rotations about Y, or about X, on every wire, with cosine and sine (n,) of half the angles."""
+    if about_x:
+        cosine, sine = cosine.to(state.dtype), -1j * sine
+    single = torch.stack([cosine, sine if about_x else -sine, sine, cosine], 1).reshape(-1, 2, 2)
+    amplitudes = state if about_x else torch.view_as_real(state.contiguous())
+    for first in range(0, len(single), GROUP):
+        matrix = reduce(torch.kron, single[first : first + GROUP])
+        view = amplitudes.reshape(2**first, len(matrix), -1)
+        amplitudes = torch.matmul(matrix, view).reshape(amplitudes.shape)
+    return amplitudes if about_x else torch.view_as_complex(amplitudes)
 
 
 def table(
@@ -303,20 +302,10 @@ def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:
     Raises:
         ValueError: more than 20 wires.
     """
-    n = circuit.wires
-    check_state(n, f"the whole state of circuit {circuit.name}")
-    rotations = [
-        (Word.of(part.letters, gate.wires, n), gate.angle_of(part)) for gate in circuit.gates for part in gate.rotations
-    ]
-    angles = ExpressionTable([angle for _, angle in rotations], circuit.parameters, fixed=False)(x, weights)
-    start = PlainCircuit(circuit).start(x, weights)
-    if start is None:
-        start = torch.nn.functional.pad(torch.ones_like(x[:1, :0].sum(1, keepdim=True)), (0, 2**n - 1))
-    state = start.to(torch.complex128).expand(x.shape[0], -1).T
-    for column, (word, _) in enumerate(rotations):
-        half = angles[:, column] / 2
-        state = _turned(state, word, n, half.cos(), half.sin())
-    return state.T
+    check_state(circuit.wires, f"the whole state of circuit {circuit.name}")
+    plain = PlainCircuit(circuit, unmerged(circuit))
+    fixed, inputs, start = plain.angles.fixed(x, weights), plain.angles.inputs(x, weights), plain.start(x, weights)
+    return plain.final_state(fixed, inputs.expand(x.shape[0], -1), start, torch.float64).T
 
 
 def _turned(state: Tensor, word: Word, wires: int, cosine: Tensor, sine: Tensor) -> Tensor:

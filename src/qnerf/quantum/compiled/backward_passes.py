@@ -9,32 +9,37 @@ from typing import Any
 
 from qnerf.kernels.simd import inner, keep_apart, load, splat, store
 from qnerf.quantum.compiled.forward_passes import walsh, z_sums
-from qnerf.quantum.compiled.wire_blocks import add_x_block, ry_gradient_block
+from qnerf.quantum.compiled.wire_blocks import add_x_block, gradient_block
 
 LOW = 5  # wires whose amplitudes (2^LOW vectors of two states) stay in the first-level cache
 
 
 @inner
-def _ry_gradient_group(
-    x: Any, state: int, adjoint: int, outer: int, distance: int, size: int, width: int, zeros: Any, out: int
-) -> None:
+def _gradient_group(
+    x: Any, state: int, adjoint: int, outer: int, distance: int, size: int, width: int, about_x: bool, zeros: Any,
+    out: int,
+) -> None:  # fmt: skip
     """Adds the gradients of a few neighbouring wires to the vectors at `out`."""
     keep_apart()
     real, imaginary = zeros, zeros
+    first, second = (state + size, state) if about_x else (state, state + size)
     # The loops are as in `forward_passes.ry_layer`. For each wire one sum of adjoint_1 state_0 and one of adjoint_0
-    # state_1 stay in registers; their difference is the gradient.
+    # state_1 stay in registers.
     span = distance << (len(zeros) >> 1)
     for h in range(outer):
         for i in range(h * span, h * span + distance, width):
-            real = ry_gradient_block(x, state + i, adjoint + i, distance, real)
-            imaginary = ry_gradient_block(x, state + i + size, adjoint + i + size, distance, imaginary)
+            real = gradient_block(x, first + i, adjoint + i, distance, real)
+            imaginary = gradient_block(x, second + i, adjoint + i + size, distance, imaginary)
+    sign = splat(x.dtype.type(-1 if about_x else 1))
     for j in range(len(zeros) >> 1):
-        value = (real[2 * j] - real[2 * j + 1]) + (imaginary[2 * j] - imaginary[2 * j + 1])
+        value = (real[2 * j] - imaginary[2 * j + 1]) + sign * (imaginary[2 * j] - real[2 * j + 1])
         store(x, out + j * width, load(x, out + j * width) + value)
 
 
 @inner
-def _ry_gradients(x: Any, state: int, adjoint: int, wires: int, below: int, size: int, width: int, out: int) -> None:
+def _gradients(
+    x: Any, state: int, adjoint: int, wires: int, below: int, size: int, width: int, about_x: bool, out: int
+) -> None:
     """Adds the gradients of `wires` neighbouring wires with `below` less significant ones."""
     keep_apart()
     zero = splat(x.dtype.type(0))
@@ -42,23 +47,22 @@ def _ry_gradients(x: Any, state: int, adjoint: int, wires: int, below: int, size
     j = 0
     while wires - j >= 3:
         six = (zero, zero, zero, zero, zero, zero)
-        _ry_gradient_group(
-            x, state, adjoint, 1 << j, width << (below + wires - j - 3), size, width, six, out + j * width
-        )
+        distance = width << (below + wires - j - 3)
+        _gradient_group(x, state, adjoint, 1 << j, distance, size, width, about_x, six, out + j * width)
         j += 3
+    distance, out = width << below, out + j * width
     if wires - j == 2:
-        _ry_gradient_group(
-            x, state, adjoint, 1 << j, width << below, size, width, (zero, zero, zero, zero), out + j * width
-        )
+        _gradient_group(x, state, adjoint, 1 << j, distance, size, width, about_x, (zero, zero, zero, zero), out)
     elif wires - j == 1:
-        _ry_gradient_group(x, state, adjoint, 1 << j, width << below, size, width, (zero, zero), out + j * width)
+        _gradient_group(x, state, adjoint, 1 << j, distance, size, width, about_x, (zero, zero), out)
 
 
 @inner
-def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int) -> None:
-    """Gradients of an RY layer, one vector for each wire at `out`.
+def layer_gradients(x: Any, state: int, adjoint: int, n: int, width: int, about_x: bool, out: int) -> None:
+    """Gradients of rotations about Y on every wire, or about X, one vector for each wire at `out`.
 
-    Each is the sum over pairs of Re(conj(adjoint_1) state_0 - conj(adjoint_0) state_1).
+    Each is a sum over pairs: Re(conj(adjoint_1) state_0 - conj(adjoint_0) state_1) about Y, and
+    Im(conj(adjoint_1) state_0 + conj(adjoint_0) state_1) about X.
     """
     keep_apart()
     size = width << n
@@ -69,19 +73,21 @@ def ry_gradients(x: Any, state: int, adjoint: int, n: int, width: int, out: int)
     # them. The wires before couple amplitudes of different chunks.
     low = min(n, LOW)
     chunk = width << low
+    last = out + (n - low) * width
     for c in range(1 << (n - low)):
-        _ry_gradients(x, state + c * chunk, adjoint + c * chunk, low, 0, size, width, out + (n - low) * width)
-    _ry_gradients(x, state, adjoint, n - low, low, size, width, out)
+        _gradients(x, state + c * chunk, adjoint + c * chunk, low, 0, size, width, about_x, last)
+    _gradients(x, state, adjoint, n - low, low, size, width, about_x, out)
 
 
 @inner
 def diagonal_backward(
     x: Any, state: int, adjoint: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any, several: Any,
-    q: int, out: int,
+    q: int, out: int, total: int,
 ) -> None:  # fmt: skip
     """Gradients of a diagonal for each wire, sum_b z_j Im(conj(adjoint) state); takes the diagonal off the adjoint.
 
-    With `several`, the gradients of all products of Z's instead, at q (see `walsh`).
+    With `several`, the gradients of all products of Z's instead, at q (see `walsh`). Unless `total` is negative, the
+    new adjoint is added to the state there instead.
     """
     keep_apart()
     size = width << n
@@ -110,8 +116,13 @@ def diagonal_backward(
                 r, s = load(x, adjoint + i), load(x, adjoint + size + i)
                 store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
                 r, s = u * r + v * s, u * s - v * r
-                store(x, adjoint + i, c * r + e * s)
-                store(x, adjoint + size + i, c * s - e * r)
+                r, s = c * r + e * s, c * s - e * r
+                if total < 0:
+                    store(x, adjoint + i, r)
+                    store(x, adjoint + size + i, s)
+                else:
+                    store(x, total + i, load(x, total + i) + r)
+                    store(x, total + size + i, load(x, total + size + i) + s)
                 if even is None or not even:
                     e = zero - e
     # The angle of wire j moves the phase of b by -z_j(b) / 2.
@@ -122,36 +133,18 @@ def diagonal_backward(
 
 
 @inner
-def start_backward(
-    x: Any, state: int, adjoint: int, n: int, width: int, phases: int, mask: int, even: Any, several: Any, q: int,
-    out: int, total: int,
-) -> None:  # fmt: skip
-    """As `diagonal_backward` for the first encoding; adds the adjoint of the common first state to `total`."""
+def permuted_gradients(x: Any, state: int, adjoint: int, n: int, width: int, moved: Any, q: int, out: int) -> None:
+    """Gradients of the phases of each wire behind a permutation, n vectors at `out`, and before it, n more."""
     keep_apart()
     size = width << n
-    half = size >> 1
-    zero = splat(x.dtype.type(0))
-    # Without an input the first state is the common one itself.
-    if phases < 0:
-        for k in range(0, 2 * size, width):
-            store(x, total + k, load(x, total + k) + load(x, adjoint + k))
-        return
-    flip = (1 << n) - 1
-    # As above; the adjoint with the phases taken off is added to the sum over samples.
-    for k in range(1 << (n - 1)):
-        c, e = load(x, phases + k * width), load(x, phases + half + k * width)
-        for side in range(2):
-            i = (k ^ mask ^ (flip * side)) * width
-            r, s = load(x, adjoint + i), load(x, adjoint + size + i)
-            store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
-            store(x, total + i, load(x, total + i) + c * r + e * s)
-            store(x, total + size + i, load(x, total + size + i) + c * s - e * r)
-            if even is None or not even:
-                e = zero - e
-    if several is not None and several:
-        walsh(x, q, n, width)
-        return
+    for i in range(0, size, width):
+        r, s = load(x, adjoint + i), load(x, adjoint + size + i)
+        store(x, q + i, r * load(x, state + size + i) - s * load(x, state + i))
+    # The phase of basis state b behind the permutation is that of moved[b] before it.
+    for b in range(1 << n):
+        store(x, q + size + moved[b] * width, load(x, q + b * width))
     z_sums(x, q, n, width, out)
+    z_sums(x, q + size, n, width, out + n * width)
 
 
 @inner

@@ -47,7 +47,7 @@ class Engine:
         self.plain = PlainCircuit(circuit)
         self.program, self.angles = self.plain.program, self.plain.angles
         self.arrays = ProgramArrays(self.program, self.angles)
-        self.values = len(self.arrays.wires) + len(self.arrays.words) + int(self.arrays.firsts[-1])
+        self.values = len(self.arrays.masks) + len(self.arrays.words) + int(self.arrays.firsts[-1])
 
     def evaluate(self, x: Tensor, weights: Tensor) -> Tensor:
         """Outputs (B, outputs) for inputs x (B, features) in radians and flat weights."""
@@ -110,17 +110,16 @@ class _Run:
             np.zeros(len(arrays.steps.taps)), np.ones(operations), arrays.permutations,
         )  # fmt: skip
         last_layer, frame = np.zeros((4, n)), np.zeros((len(arrays.steps.turns) + 1, 2), np.int64)
-        measured = Measurement(arrays.program.measures_last_layer, arrays.wires, arrays.eigenvalues, last_layer)
-        self.amplitude = bind(arrays.steps, angles, n, np.zeros((2, 2**n)), measured, tables, frame)
-        # What is left of the frame at the end flips bits of what is measured.
-        flipped = arrays.eigenvalues[:, np.arange(2**n) ^ frame[-1, 0]]
-        self.measurement = measured._replace(
-            eigenvalues=flipped.astype(kind, order="C"), last_layer=last_layer.astype(kind)
+        measured = Measurement(
+            arrays.program.measures_last_layer, arrays.masks, np.ones(len(arrays.masks), kind), last_layer
         )
-        self.tables = tables._replace(
-            tangents=tables.tangents.astype(kind), diagonals=tables.diagonals.astype(kind),
-            
-        )  # fmt: skip
+        self.amplitude = bind(arrays.steps, angles, n, np.zeros((2, 2**n)), measured, tables, frame)
+        # What is left of the frame at the end flips signs of what is measured.
+        odd = np.bitwise_count(arrays.masks & frame[-1, 0]) & 1
+        self.measurement = measured._replace(
+            signs=np.where(odd, -1, 1).astype(kind), last_layer=last_layer.astype(kind)
+        )
+        self.tables = tables._replace(tangents=tables.tangents.astype(kind), diagonals=tables.diagonals.astype(kind))
         self.factors = (arrays.factors * tables.signs).astype(kind)
         return frame
 
@@ -136,16 +135,13 @@ class _Run:
     def _start(self) -> None:
         """The state before the first data, with the fixed phases of the first data if these are phases."""
         steps, once = self.engine.arrays.steps, self.engine.arrays.once
-        self.psi = np.empty((2, 2**self.n), self.kind)
-        prepare(steps.operations[:once], self.shape, self.tables, self.extra, self.first, self.psi)
+        psi = np.empty((2, 2**self.n), self.kind)
+        prepare(steps.operations[:once], self.shape, self.tables, self.extra, self.first, psi)
         row = int(steps.operations[once, TABLE])
-        self.first_diagonal = self.tables.diagonals[row] if row >= 0 else None
-        self.shared = self.psi
-        if self.first_diagonal is not None:
-            u, v = self.first_diagonal
-            self.shared = np.empty_like(self.psi)
-            self.shared[0] = u * self.psi[0] - v * self.psi[1]
-            self.shared[1] = u * self.psi[1] + v * self.psi[0]
+        if row >= 0:
+            u, v = self.tables.diagonals[row]
+            psi = np.stack([u * psi[0] - v * psi[1], u * psi[1] + v * psi[0]])
+        self.shared = psi
 
     def _trig(self, blocks: np.ndarray) -> np.ndarray:
         """cos and sin of half the moving angles: (blocks, columns, width) -> (blocks, 2, M, width)."""
@@ -199,9 +195,6 @@ class _Run:
             self.stored, inputs, sums, adjoints, starts,
         )  # fmt: skip
         total, adjoint = sums.sum(0), adjoints.sum(0)
-        if self.first_diagonal is not None:
-            u, v = self.first_diagonal.astype(np.float64)
-            adjoint = np.stack([u * adjoint[0] + v * adjoint[1], u * adjoint[1] - v * adjoint[0]])
         prepare_backward(
             steps.operations[:once], self.shape, taps, self.factors, self.tables, self.extra, self.first, adjoint,
             total, self.stored,

@@ -125,15 +125,23 @@ def start(x: Any, target: int, n: int, width: int, psi: Any, phases: int, mask: 
 
 
 @inner
-def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any) -> None:
-    """Multiplies the state by the diagonal `table` (2, 2^n) and, unless `phases` is negative, by the input's phases."""
+def diagonal(
+    x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any, forward: bool
+) -> None:
+    """Multiplies the state by the diagonal `table` (2, 2^n) and, unless `phases` is negative, by the input's phases.
+
+    By the conjugates of both if not `forward`.
+    """
     keep_apart()
     size = width << n
     half = size >> 1
+    zero = splat(x.dtype.type(0))
     # The fixed phases u + i v are the same for all samples of the block.
     if phases < 0:
         for b in range(1 << n):
             u, v = splat(table[0, b]), splat(table[1, b])
+            if not forward:
+                v = zero - v
             r, i = load(x, target + b * width), load(x, target + size + b * width)
             store(x, target + b * width, u * r - v * i)
             store(x, target + size + b * width, u * i + v * r)
@@ -142,50 +150,20 @@ def diagonal(x: Any, target: int, n: int, width: int, table: Any, phases: int, m
     # Both products in one pass over the state. The input's phases come in pairs, as in `start`.
     for k in range(1 << (n - 1)):
         c, s = load(x, phases + k * width), load(x, phases + half + k * width)
-        p = target + (k ^ mask) * width
-        u, v = splat(table[0, k ^ mask]), splat(table[1, k ^ mask])
-        r, i = load(x, p), load(x, p + size)
-        r, i = u * r - v * i, u * i + v * r
-        store(x, p, c * r - s * i)
-        store(x, p + size, c * i + s * r)
-        if even is not None and even:
-            s = splat(x.dtype.type(0)) - s
-        b = k ^ mask ^ flip
-        p = target + b * width
-        u, v = splat(table[0, b]), splat(table[1, b])
-        r, i = load(x, p), load(x, p + size)
-        r, i = u * r - v * i, u * i + v * r
-        store(x, p, c * r + s * i)
-        store(x, p + size, c * i - s * r)
-
-
-@inner
-def diagonal_off(
-    x: Any, target: int, n: int, width: int, table: Any, phases: int, mask: int, even: Any, factor: Any
-) -> None:
-    """Takes `diagonal` off the state: the conjugate phases, times a factor."""
-    keep_apart()
-    size = width << n
-    half = size >> 1
-    k_ = splat(factor)
-    flip = (1 << n) - 1
-    zero = splat(x.dtype.type(0))
-    for b in range(1 << n):
-        p = target + b * width
-        u, v = splat(table[0, b]), splat(table[1, b])
-        r, i = k_ * load(x, p), k_ * load(x, p + size)
-        r, i = u * r + v * i, u * i - v * r
-        if phases >= 0:
-            k = b ^ mask
-            flipped = k >> (n - 1) == 1
-            if flipped:
-                k = k ^ flip
-            c, s = load(x, phases + k * width), load(x, phases + half + k * width)
-            if flipped and not even:
+        if not forward:
+            s = zero - s
+        for side in range(2):
+            b = k ^ mask ^ (flip * side)
+            p = target + b * width
+            u, v = splat(table[0, b]), splat(table[1, b])
+            if not forward:
+                v = zero - v
+            r, i = load(x, p), load(x, p + size)
+            r, i = u * r - v * i, u * i + v * r
+            store(x, p, c * r - s * i)
+            store(x, p + size, c * i + s * r)
+            if even is None or not even:
                 s = zero - s
-            r, i = c * r + s * i, c * i - s * r
-        store(x, p, r)
-        store(x, p + size, i)
 
 
 @inner
@@ -243,16 +221,17 @@ def probabilities(x: Any, state: int, n: int, width: int, q: int) -> None:
 
 
 @inner
-def permute(x: Any, source: int, target: int, n: int, width: int, table: Any, forward: bool) -> None:
-    """target[b] = source[table[b]]; the inverse if not `forward`."""
+def permute(x: Any, source: int, target: int, n: int, width: int, moved: Any, table: Any, forward: bool) -> None:
+    """target[b] = table[b] source[moved[b]]; the adjoint of this if not `forward`."""
     keep_apart()
     size = width << n
     for b in range(1 << n):
-        a, c = b * width, table[b] * width
+        a, c, u, v = b * width, moved[b] * width, splat(table[0, b]), splat(table[1, b])
         if not forward:
-            a, c = c, a
-        store(x, target + a, load(x, source + c))
-        store(x, target + size + a, load(x, source + size + c))
+            a, c, v = c, a, splat(x.dtype.type(0)) - v
+        r, i = load(x, source + c), load(x, source + size + c)
+        store(x, target + a, u * r - v * i)
+        store(x, target + size + a, u * i + v * r)
 
 
 @inner

@@ -22,6 +22,7 @@ from qnerf.quantum.compiled.tables import (
     EVEN,
     FIRST,
     LAST,
+    MOVED,
     PERMUTATION,
     PHASES,
     RY,
@@ -30,6 +31,7 @@ from qnerf.quantum.compiled.tables import (
     START,
     START_EACH,
     TABLE,
+    TILTS,
     TURN,
     UNDO,
     Extra,
@@ -40,6 +42,7 @@ from qnerf.quantum.compiled.tables import (
 # Numba compiles a function once more for every True and False of Python's that it is called with.
 FORWARD = STORED = np.bool_(True)
 BACK = NOT_STORED = np.bool_(False)
+ABOUT_X, ABOUT_Y = np.bool_(True), np.bool_(False)
 
 
 class Layout(NamedTuple):
@@ -47,7 +50,7 @@ class Layout(NamedTuple):
 
     state: int  # one state, or all that the backward pass stores
     adjoint: int  # the adjoint state, and a spare one
-    scratch: int  # 2^n + 1 vectors
+    scratch: int  # 2 2^n vectors
     first_adjoint: int  # the adjoint of the state that all samples start from
     phases: int  # phases x 2^n vectors: the input's phases of the basis states
     trig: int  # 2 (M + 1) vectors: cos and sin of half the moving angles, then 1 and 0
@@ -64,7 +67,7 @@ def _layout(start: int, n: int, width: int, states: int, phases: int, moving: in
     size = width << n
     adjoint = start + 2 * states * size
     scratch = adjoint + 4 * size
-    first_adjoint = scratch + size + width
+    first_adjoint = scratch + 2 * size
     phases_ = first_adjoint + 2 * size
     trig = phases_ + phases * size
     sums = trig + 2 * (moving + 1) * width
@@ -105,6 +108,14 @@ def _turn_cosine(x: Any, at: Layout, width: int, turn: Any, extra: Extra) -> Any
     return cosine
 
 
+@inner
+def _flag(value: int, extra: Any) -> Any:
+    """Whether a flag is set; None, for which loops are compiled without it, where no operation has it."""
+    if extra is None:
+        return None
+    return value == 1
+
+
 @jit
 def _forward(
     x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, tables: Tables, psi: Any, extra: Any,
@@ -124,16 +135,11 @@ def _forward(
         code, row, phases = operations[o, CODE], operations[o, TABLE], operations[o, PHASES]
         p = -1 if phases < 0 else at.phases + phases * (pair >> 1)
         after = here + pair if store_states else here
+        even = _flag(operations[o, EVEN], extra)
         if code == START:
-            if extra is None:
-                forward_passes.start(x, here, n, width, psi, p, masks[o], None)
-            else:
-                forward_passes.start(x, here, n, width, psi, p, masks[o], operations[o, EVEN] == 1)
+            forward_passes.start(x, here, n, width, psi, p, masks[o], even)
         elif code == DIAGONAL:
-            if extra is None:
-                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], None)
-            else:
-                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], operations[o, EVEN] == 1)
+            forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], even, FORWARD)
         elif code == RY:
             forward_passes.ry_layer(x, here, after, n, width, tangents[row], FORWARD)
             here = after
@@ -141,7 +147,8 @@ def _forward(
             # A permutation cannot work in place: two states take turns.
             if not store_states:
                 after = at.state + pair if here == at.state else at.state
-            forward_passes.permute(x, here, after, n, width, permutations[row], FORWARD)
+            moved = permutations[operations[o, MOVED]]
+            forward_passes.permute(x, here, after, n, width, moved, diagonals[row], FORWARD)
             here = after
         if extra is not None:
             if code == TURN:
@@ -190,7 +197,8 @@ def _backward(
     for o in range(len(operations) - 1, -1, -1):
         code, row, phases = operations[o, CODE], operations[o, TABLE], operations[o, PHASES]
         p = -1 if phases < 0 else at.phases + phases * (pair >> 1)
-        first, square = d, 1.0
+        even, several = _flag(operations[o, EVEN], extra), _flag(operations[o, SEVERAL], extra)
+        first, square = scratch if operations[o, SEVERAL] else d, 1.0
         # A state that was not stored lacks the cosines of a layer that was taken off it, or has them twice.
         if not stored:
             square = squares[o]
@@ -200,42 +208,41 @@ def _backward(
                 here -= pair
             else:
                 forward_passes.ry_layer(x, here, here, n, width, tangents[row], BACK)
-            backward_passes.ry_gradients(x, here, adjoint, n, width, d)
+            backward_passes.layer_gradients(x, here, adjoint, n, width, ABOUT_Y, d)
+        elif code == TILTS:
+            if not masks[o]:
+                continue
+            backward_passes.layer_gradients(x, here, adjoint, n, width, ABOUT_X, d)
         elif code == PERMUTATION:
-            forward_passes.permute(x, adjoint, spare, n, width, permutations[row], BACK)
+            moved = permutations[operations[o, MOVED]]
+            if operations[o, LAST] > operations[o, FIRST]:
+                backward_passes.permuted_gradients(x, here, adjoint, n, width, moved, scratch, d)
+            forward_passes.permute(x, adjoint, spare, n, width, moved, diagonals[row], BACK)
             adjoint, spare = spare, adjoint
             if stored:
                 here -= pair
             else:
                 other = at.state + pair if here == at.state else at.state
-                forward_passes.permute(x, here, other, n, width, permutations[row], BACK)
+                forward_passes.permute(x, here, other, n, width, moved, diagonals[row], BACK)
                 here = other
         elif code == DIAGONAL:
-            if extra is None:
-                backward_passes.diagonal_backward(
-                    x, here, adjoint, n, width, diagonals[row], p, masks[o], None, None, scratch, d
-                )
-            else:
-                several, even = operations[o, SEVERAL] == 1, operations[o, EVEN] == 1
-                backward_passes.diagonal_backward(
-                    x, here, adjoint, n, width, diagonals[row], p, masks[o], even, several, scratch, d
-                )
-                first = scratch if several else d
+            backward_passes.diagonal_backward(
+                x, here, adjoint, n, width, diagonals[row], p, masks[o], even, several, scratch, d, -1
+            )
             if operations[o, UNDO] or not stored:
-                factor = x.dtype.type(1.0 / squares[o] if stored else 1.0)
-                even = operations[o, EVEN] == 1
-                forward_passes.diagonal_off(x, here, n, width, diagonals[row], p, masks[o], even, factor)
+                forward_passes.diagonal(x, here, n, width, diagonals[row], p, masks[o], even, BACK)
+                if stored and squares[o] != 1:
+                    factor = splat(x.dtype.type(1.0 / squares[o]))
+                    for i in range(here, here + pair, width):
+                        store(x, i, factor * load(x, i))
+        elif code == START and row >= 0:
+            total = at.first_adjoint
+            backward_passes.diagonal_backward(
+                x, here, adjoint, n, width, diagonals[row], p, masks[o], even, several, scratch, d, total
+            )
         elif code == START:
-            if extra is None:
-                backward_passes.start_backward(
-                    x, here, adjoint, n, width, p, masks[o], None, None, scratch, d, at.first_adjoint
-                )
-            else:
-                several, even = operations[o, SEVERAL] == 1, operations[o, EVEN] == 1
-                backward_passes.start_backward(
-                    x, here, adjoint, n, width, p, masks[o], even, several, scratch, d, at.first_adjoint
-                )
-                first = scratch if several else d
+            for i in range(0, pair, width):
+                store(x, at.first_adjoint + i, load(x, at.first_adjoint + i) + load(x, adjoint + i))
         elif extra is not None and code == TURN:
             cosine, sines = _turn_cosine(x, at, width, extra.turns[row], extra), at.signs + 2 * width
             word_passes.rotate_back(x, here, adjoint, n, width, extra.turns[row], cosine, sines, at.signs, d)
@@ -335,20 +342,20 @@ def forward(
     expectations (blocks, 2, n, width): <Z> and <X> before the last RY layer, if it is part of the measurement
     out (blocks, values, width)
     """
-    measures_last_layer, wires, eigenvalues, last_layer = measurement
+    measures_last_layer, masks, signs, last_layer = measurement
     n, width = shape.n, shape.width
     blocks, count, phases = out.shape[0], moving.trig.shape[2], len(moving.singles)
     x = np.empty(_layout(0, n, width, 2, phases, count, 0, 0).end + 64, psi.dtype)
     at = _layout(start_of_line(x), n, width, 2, phases, count, 0, 0)
     q, d = at.scratch, at.gradients
-    masks = tables.flip_masks[once:]
+    flips = tables.flip_masks[once:]
     # A block of samples at a time, through the whole circuit, while its state is in cache.
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, moving, block, n, width, extra)
-        end = _forward(x, at, n, width, operations, masks, tables, psi, extra, block, NOT_STORED)
+        end = _forward(x, at, n, width, operations, flips, tables, psi, extra, block, NOT_STORED)
         forward_passes.probabilities(x, end, n, width, q)
         if extra is not None:
-            _measure_extra(x, at, end, n, width, len(wires), extra, block, out)
+            _measure_extra(x, at, end, n, width, len(masks), extra, block, out)
         # <Z> behind the last RY layer from <Z> and <X> before it: the layer itself need not be applied.
         if measures_last_layer:
             forward_passes.z_sums(x, q, n, width, d)
@@ -357,20 +364,26 @@ def forward(
                 for i in range(width):
                     expectations[block, 0, j, i] = x[d + j * width + i]
                     expectations[block, 1, j, i] = x[d + (n + j) * width + i]
-            for k in range(len(wires)):
-                j = wires[k]
+            for k in range(len(masks)):
+                j = _wire(masks[k], n)
                 for i in range(width):
                     z, x_ = expectations[block, 0, j, i], expectations[block, 1, j, i]
                     out[block, k, i] = last_layer[0, j] * z + last_layer[1, j] * x_
-        # Products of several Z's: the probabilities, each times its eigenvalue.
-        else:
-            for k in range(len(wires)):
-                value = splat(psi.dtype.type(0))
-                for b in range(1 << n):
-                    value = value + splat(eigenvalues[k, b]) * load(x, q + b * width)
-                store(x, d, value)
+        # The expectation of every product of Z's from the probabilities; a few of them are asked for.
+        elif len(masks):
+            forward_passes.walsh(x, q, n, width)
+            for k in range(len(masks)):
                 for i in range(width):
-                    out[block, k, i] = x[d + i]
+                    out[block, k, i] = signs[k] * x[q + masks[k] * width + i]
+
+
+@inner
+def _wire(mask: int, n: int) -> int:
+    """The wire of a single bit."""
+    wire = n - 1
+    while mask >> 1:
+        mask, wire = mask >> 1, wire - 1
+    return wire
 
 
 @inner
@@ -432,14 +445,14 @@ def backward(
     adjoint_out (parts, 2, 2^n): of psi, summed over each part
     starts_out (blocks, 2, 2^n, width): of the starts, if each sample has its own
     """
-    measures_last_layer, wires, eigenvalues, last_layer = measurement
+    measures_last_layer, masks, signs, last_layer = measurement
     n, width, states, columns = shape
     blocks, count, phases = gradient.shape[0], moving.trig.shape[2], len(moving.singles)
     size = width << n
     x = np.zeros(_layout(0, n, width, states, phases, count, len(taps), columns).end + 64, psi.dtype)
     at = _layout(start_of_line(x), n, width, states, phases, count, len(taps), columns)
-    adjoint, d = at.adjoint, at.gradients
-    masks, squares = tables.flip_masks[once:], tables.squares[once:]
+    adjoint = at.adjoint
+    flips, squares = tables.flip_masks[once:], tables.squares[once:]
     # A part is a fixed range of blocks with sums of its own, whichever thread takes it. The sums over all parts are
     # taken in order afterwards, so the bits do not depend on the number of threads.
     for part in range(first, last):
@@ -447,13 +460,13 @@ def backward(
         _fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
             _read(x, at, moving, block, n, width, extra)
-            end = _forward(x, at, n, width, operations, masks, tables, psi, extra, block, stored)
+            end = _forward(x, at, n, width, operations, flips, tables, psi, extra, block, stored)
             # The adjoint starts as sum_k g_k O_k |state>. Where the last RY layer is part of the measurement, O_k is
             # a Z + b X of the output's wire, and the angles of that layer have their gradients from <Z> and <X>.
             if measures_last_layer:
                 _fill_zero(x, at.factors, 2 * n, width)
-                for k in range(len(wires)):
-                    j = wires[k]
+                for k in range(len(masks)):
+                    j = _wire(masks[k], n)
                     a, b = at.factors + j * width, at.factors + (n + j) * width
                     for i in range(width):
                         g, z, x_ = gradient[block, k, i], expectations[block, 0, j, i], expectations[block, 1, j, i]
@@ -463,21 +476,21 @@ def backward(
                             x[at.sums + last_taps[j] * width + i] += g * (last_layer[2, j] * z + last_layer[3, j] * x_)
                 backward_passes.apply_observables(x, end, adjoint, n, width, at.factors, at.scratch)
             else:
-                _fill_zero(x, adjoint, 2 << n, width)
-                for k in range(len(wires)):
+                # The same transform takes the gradients of the words to the eigenvalues of sum_k g_k O_k.
+                _fill_zero(x, at.scratch, 1 << n, width)
+                for k in range(len(masks)):
                     for i in range(width):
-                        x[d + i] = gradient[block, k, i]
-                    g_ = load(x, d)
-                    for b in range(1 << n):
-                        i = b * width
-                        value = splat(eigenvalues[k, b]) * g_
-                        store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
-                        i += size
-                        store(x, adjoint + i, load(x, adjoint + i) + value * load(x, end + i))
+                        x[at.scratch + masks[k] * width + i] = signs[k] * gradient[block, k, i]
+                if len(masks):
+                    forward_passes.walsh(x, at.scratch, n, width)
+                for i in range(0, size, width):
+                    value = load(x, at.scratch + i)
+                    store(x, adjoint + i, value * load(x, end + i))
+                    store(x, adjoint + size + i, value * load(x, end + size + i))
                 if extra is not None:
-                    _apply_extra(x, at, end, n, width, len(wires), extra, gradient[block])
+                    _apply_extra(x, at, end, n, width, len(masks), extra, gradient[block])
             _fill_zero(x, at.inputs, columns, width)
-            _backward(x, at, n, width, operations, masks, squares, taps, factors, tables, extra, end, stored)
+            _backward(x, at, n, width, operations, flips, squares, taps, factors, tables, extra, end, stored)
             for j in range(columns):
                 for i in range(width):
                     inputs_out[block, j, i] = x[at.inputs + j * width + i]

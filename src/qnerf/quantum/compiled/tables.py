@@ -19,16 +19,18 @@ import numpy as np
 from qnerf.kernels.jit import jit
 from qnerf.kernels.simd import inner
 from qnerf.quantum.angles import Angles
-from qnerf.quantum.basis import cnot_permutation, z_signs
-from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer
+from qnerf.quantum.basis import cnot_permutation
+from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer, Tilts
 from qnerf.quantum.program import Program
 from qnerf.quantum.words import Word
 
-DIAGONAL, RY, PERMUTATION, START, TURN, START_EACH = range(6)
-CODE, TABLE, PHASES, EVEN, SEVERAL, FIRST, LAST, UNDO, FOLD = range(9)
+DIAGONAL, RY, PERMUTATION, START, TURN, START_EACH, TILTS = range(7)
+CODE, TABLE, PHASES, EVEN, SEVERAL, FIRST, LAST, UNDO, FOLD, MOVED, MIDDLE = range(11)
 """The columns of an operation: its kind; its row in the tables of its kind, or -1; its row in the phases of the input,
 or -1; whether these are of even products; whether a product of several Z's has a gradient here; its first tap and the
 one after its last; whether the backward pass needs the state before it; for RY, the operation that takes the cosines.
+A permutation has phases behind it, of row TABLE, and before it, of the next row, which also have the taps before
+MIDDLE; MOVED is its own row.
 """
 SOURCE, FIXED, COLUMN, MASK = range(4)
 """The columns of a tap, where a gradient is read: wire or mask; the number of the fixed angle, or -1; the column of the
@@ -38,7 +40,7 @@ input, or -1; the wires as bits."""
 class Steps(NamedTuple):
     """A program without its angles. Compiled loops take it as it is."""
 
-    operations: Any  # (operations, 9), those that run once, then those that run for every sample
+    operations: Any  # (operations, 11), those that run once, then those that run for every sample
     taps: Any  # (taps, 4)
     constants: Any  # (diagonals, 2, 2^n) real and imaginary parts of the constant phases
     cnots: Any  # (pairs, 3) row of the permutation, control and target bit of each CNOT
@@ -50,7 +52,7 @@ class Tables(NamedTuple):
 
     tangents: Any  # (layers, n) of half the angles of RY layers
     diagonals: Any  # (diagonals, 2, 2^n) real and imaginary parts, times the cosines of an RY layer
-    flip_masks: Any  # (operations,) bits that the Pauli frame flips
+    flip_masks: Any  # (operations,) bits that the Pauli frame flips; of tilts, whether any has derivatives
     signs: Any  # (taps,) that the Pauli frame gives the angles
     squares: Any  # (operations,) of the cosines that the state here still lacks or has too many of
     permutations: Any  # (permutations, 2^n) of the CNOTs, whatever the angles are
@@ -60,8 +62,8 @@ class Measurement(NamedTuple):
     """What is measured. Compiled loops take it as it is."""
 
     measures_last_layer: Any  # whether <Z> and <X> before the last RY layer are measured instead of <Z> after it
-    wires: Any  # (words of Z's,) the measured wire, where each has one
-    eigenvalues: Any  # (words of Z's, 2^n)
+    masks: Any  # (words of Z's,) the wires of each as bits
+    signs: Any  # (words of Z's,) that the Pauli frame gives them
     last_layer: Any  # (4, n) factors of <Z> and <X> before the last RY layer, and their derivatives by its angle
 
 
@@ -83,7 +85,7 @@ class ProgramArrays:
     Attributes:
         once: number of operations that run once for a batch, on |0...0> or the start.
         steps: all operations, and the last RY layer if it is part of the measurement.
-        per_sample: (operations, 9) those that run for every sample.
+        per_sample: (operations, 11) those that run for every sample.
         factors: (taps,) the input's factor in the angle.
         singles: (phases, n) the number of the moving angle of each wire; that past the last one stands for 0.
     """
@@ -91,7 +93,7 @@ class ProgramArrays:
     def __init__(self, program: Program, angles: Angles) -> None:
         self.program, n = program, program.wires
         self.n, self.inputs = n, angles.inputs
-        self.rows: list[list[int]] = [[START, -1, -1, 0, 0, 0, 0, 0, -1]]
+        self.rows: list[list[int]] = [[START, -1, -1, 0, 0, 0, 0, 0, -1, -1, -1]]
         self.taps: list[tuple[int, int, int, int]] = []
         self.tap_factors: list[float] = []
         self.constants: list[np.ndarray] = []
@@ -106,7 +108,7 @@ class ProgramArrays:
         z_words = [word for word in program.words if not word.x]
         others = [word for word in program.words if word.x]
         self.steps = Steps(
-            _integers(self.rows, 9), _integers(self.taps, 4),
+            _integers(self.rows, 11), _integers(self.taps, 4),
             np.array([[c.real, c.imag] for c in self.constants]).reshape(-1, 2, 2**n),
             _integers(self.pairs, 3), _integers(self.turn_rows, 6),
         )  # fmt: skip
@@ -123,8 +125,7 @@ class ProgramArrays:
                 else:
                     products.append((row, mask, angle))
         self.products = _integers(products, 3)
-        self.wires = _integers([n - word.z.bit_length() for word in z_words])
-        self.eigenvalues = z_signs([word.z for word in z_words], n)
+        self.masks = _integers([word.z for word in z_words])
         self.words = _integers([word_row(word) for word in others], 4)
         self.outcomes = _integers(list(program.tables), 2**n)
         self.firsts = np.cumsum([0, *(int(table.max()) + 1 for table in program.tables)]).astype(np.int64)
@@ -135,32 +136,53 @@ class ProgramArrays:
 
     def _add_blocks(self, angles: Angles) -> None:
         program = self.program
-        blocks = program.blocks[: len(program.blocks) - program.measures_last_layer]
-        self.once = 0
-        for place in range(len(blocks) + 1):
-            is_first = place == program.fixed_blocks
+        blocks = program.blocks
+        self.once = -1
+        for group in (*program.groups, ()):
+            first = blocks[group[0]] if group else None
             fused = False
-            if is_first:
+            if self.once < 0 and (not group or group[0] >= program.fixed_blocks):
                 self.once = len(self.rows)
-                block = blocks[place] if place < len(blocks) else None
-                odd = (word for word, _, moving in angles.rotations[place] if moving >= 0) if block else ()
-                fused = isinstance(block, Diagonal) and any(word.z.bit_count() % 2 for word in odd)
+                odd = (word for word, _, moving in angles.rotations[group[0]] if moving >= 0) if group else ()
+                fused = isinstance(first, Diagonal) and any(word.z.bit_count() % 2 for word in odd)
                 fused = fused and not program.start_moves
                 if not fused:
-                    self.rows.append([START_EACH if program.start_moves else START, -1, -1, 0, 0, 0, 0, 0, -1])
-            if place < len(blocks):
-                self._add(place, angles, fused)
+                    self.rows.append([START_EACH if program.start_moves else START, -1, -1, *[0] * 5, -1, -1, -1])
+            if any(isinstance(blocks[place], CNOTs) for place in group):
+                self._add_cnots(group, angles)
+            elif group:
+                self._add(group[0], angles, fused)
         if program.measures_last_layer:
-            self._add_layer(angles.rotations[len(blocks)], -1)
+            self._add_layer(angles.rotations[-1], -1)
+
+    def _add_cnots(self, group: tuple[int, ...], angles: Angles) -> None:
+        """CNOTs with the fixed phases before and behind them."""
+        phases: list[np.ndarray | None] = [None, None]
+        first = middle = len(self.taps)
+        behind = 0
+        for place in group:
+            block = self.program.blocks[place]
+            if isinstance(block, CNOTs):
+                self.pairs.extend((len(self.tables), control, target) for control, target in block.pairs)
+                self.tables.append(cnot_permutation(block.pairs, self.n))
+                middle, behind = len(self.taps), 1
+                continue
+            phases[1 - behind] = angles.phases[place]
+            for word, own, _ in angles.rotations[place]:
+                if own >= 0:
+                    self._tap((2 - behind) * self.n - word.z.bit_length(), own, -1, word.z)
+        self.constants += [np.ones(2**self.n, complex) if own is None else own for own in phases]
+        self._operation(PERMUTATION, len(self.constants) - 2, taps=len(self.taps) - first)
+        self.rows[-1][MOVED:] = len(self.tables) - 1, middle
 
     def _add(self, place: int, angles: Angles, fused: bool) -> None:
         block, rows = self.program.blocks[place], angles.rotations[place]
-        if isinstance(block, CNOTs):
-            self.pairs.extend((len(self.tables), control, target) for control, target in block.pairs)
-            self.tables.append(cnot_permutation(block.pairs, self.n))
-            self._operation(PERMUTATION, len(self.tables) - 1)
-        elif isinstance(block, Diagonal):
+        if isinstance(block, Diagonal):
             self._add_diagonal(rows, angles.phases[place], fused)
+        elif isinstance(block, Tilts):
+            for word, own, other in rows:
+                self._tap(self.n - word.x.bit_length(), own, other, word.x)
+            self._operation(TILTS, -1, taps=len(rows))
         elif isinstance(block, RYLayer):
             fold = self._fold()
             if fold is None:
@@ -179,7 +201,7 @@ class ProgramArrays:
             code, row = self.rows[index][CODE], self.rows[index][TABLE]
             if code == RY:
                 return None
-            if code == DIAGONAL or (code == START and (row >= 0 or index == 0)):
+            if code in (DIAGONAL, PERMUTATION) or (code == START and (row >= 0 or index == 0)):
                 return index
             if code in (START, START_EACH):
                 return None
@@ -228,7 +250,7 @@ class ProgramArrays:
         fold: int = -1,
     ) -> None:  # fmt: skip
         last = len(self.taps)
-        self.rows.append([code, table, phases, int(even), int(several), last - taps, last, 0, fold])
+        self.rows.append([code, table, phases, int(even), int(several), last - taps, last, 0, fold, -1, -1])
 
     def _mark_undone(self) -> None:
         """What works in place needs the state right behind it: diagonals after it are taken off the state again."""
@@ -236,7 +258,8 @@ class ProgramArrays:
         for row in self.rows:
             if row[CODE] == DIAGONAL:
                 row[UNDO] = int(needed)
-            needed = row[CODE] in (DIAGONAL, TURN) or (row[CODE] == START and row[TABLE] >= 0)
+            has_taps = row[CODE] == PERMUTATION and row[LAST] > row[FIRST]
+            needed = row[CODE] in (DIAGONAL, TURN, TILTS) or (row[CODE] == START and row[TABLE] >= 0) or has_taps
 
     @cached_property
     def stored_states(self) -> int:
@@ -266,13 +289,14 @@ def _odd(value: int) -> bool:
 
 
 @inner
-def _bind_diagonal(op: Any, steps: Steps, fixed: Any, x: int, n: int, spare: Any, tables: Tables) -> None:
+def _bind_diagonal(
+    row: int, first: int, last: int, steps: Steps, fixed: Any, x: int, n: int, spare: Any, tables: Tables
+) -> None:
     """The phases of all basis states, wire by wire: each phase of j wires becomes two phases of j + 1 wires."""
-    constants = steps.constants[op[TABLE]]
     spare[0, 0], spare[1, 0] = 1.0, 0.0
     for j in range(n):
         angle = 0.0
-        for k in range(op[FIRST], op[LAST]):
+        for k in range(first, last):
             tap = steps.taps[k]
             if tap[MASK] == 1 << (n - 1 - j) and tap[FIXED] >= 0:
                 angle = fixed[tap[FIXED]]
@@ -283,7 +307,7 @@ def _bind_diagonal(op: Any, steps: Steps, fixed: Any, x: int, n: int, spare: Any
             spare[0, 2 * k], spare[1, 2 * k] = a * c + b * s, b * c - a * s
             spare[0, 2 * k + 1], spare[1, 2 * k + 1] = a * c - b * s, b * c + a * s
     # Then the products of several Z's, one by one.
-    for k in range(op[FIRST], op[LAST]):
+    for k in range(first, last):
         tap = steps.taps[k]
         tables.signs[k] = -1.0 if _odd(tap[MASK] & x) else 1.0
         if tap[FIXED] >= 0 and tap[MASK] & (tap[MASK] - 1):
@@ -291,7 +315,7 @@ def _bind_diagonal(op: Any, steps: Steps, fixed: Any, x: int, n: int, spare: Any
             for b in range(1 << n):
                 s = -sine if _odd(b & tap[MASK]) else sine
                 spare[0, b], spare[1, b] = spare[0, b] * c + spare[1, b] * s, spare[1, b] * c - spare[0, b] * s
-    table = tables.diagonals[op[TABLE]]
+    table, constants = tables.diagonals[row], steps.constants[row]
     for b in range(1 << n):
         u, v = spare[0, b ^ x], spare[1, b ^ x]
         table[0, b] = u * constants[0, b ^ x] - v * constants[1, b ^ x]
@@ -368,18 +392,32 @@ def bind(steps: Steps, fixed: Any, n: int, spare: Any, measurement: Measurement,
             x, z = x ^ turned, z ^ turned
             amplitude *= _fold(o, op, scale, operations, n, tables)
         elif op[CODE] == PERMUTATION:
+            row = op[TABLE]
+            _bind_diagonal(row + 1, op[FIRST], op[MIDDLE], steps, fixed, x, n, spare, tables)
             # X spreads to the target, Z to the control.
             for p in range(len(steps.cnots)):
-                if steps.cnots[p, 0] == op[TABLE]:
+                if steps.cnots[p, 0] == op[MOVED]:
                     control, target = steps.cnots[p, 1], steps.cnots[p, 2]
                     if x & control:
                         x ^= target
                     if z & target:
                         z ^= control
+            _bind_diagonal(row, op[MIDDLE], op[LAST], steps, fixed, x, n, spare, tables)
+            before, behind = tables.diagonals[row + 1], tables.diagonals[row]
+            for b in range(1 << n):
+                u, v = before[0, tables.permutations[op[MOVED], b]], before[1, tables.permutations[op[MOVED], b]]
+                behind[0, b], behind[1, b] = u * behind[0, b] - v * behind[1, b], u * behind[1, b] + v * behind[0, b]
         elif op[CODE] == TURN:
             tables.signs[op[FIRST]] = 1.0
             frame[op[TABLE], 0], frame[op[TABLE], 1] = x, z
+        elif op[CODE] == TILTS:
+            for k in range(op[FIRST], op[LAST]):
+                tables.signs[k] = -1.0 if z & steps.taps[k, MASK] else 1.0
+            tables.flip_masks[o] = 0
+            for k in range(op[FIRST], op[LAST]):
+                if fixed[steps.taps[k, FIXED]] != 0:
+                    tables.flip_masks[o] = 1
         elif op[TABLE] >= 0:
-            _bind_diagonal(op, steps, fixed, x, n, spare, tables)
+            _bind_diagonal(op[TABLE], op[FIRST], op[LAST], steps, fixed, x, n, spare, tables)
     frame[len(frame) - 1, 0], frame[len(frame) - 1, 1] = x, z
     return amplitude

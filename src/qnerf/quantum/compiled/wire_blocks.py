@@ -117,7 +117,7 @@ def x_block(typing_context: Any, x: Any, state: Any, distance: Any, sums: Any) -
 
 
 @intrinsic
-def ry_gradient_block(typing_context: Any, x: Any, state: Any, adjoint: Any, distance: Any, sums: Any) -> Any:
+def gradient_block(typing_context: Any, x: Any, state: Any, adjoint: Any, distance: Any, sums: Any) -> Any:
     """The tuple `sums` plus, for each wire, the sums over its pairs of adjoint_1 state_0 and of adjoint_0 state_1."""
     k, vector = sums.count // 2, sums.dtype
 

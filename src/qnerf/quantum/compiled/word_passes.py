@@ -4,8 +4,12 @@ The memory layout is that of `forward_passes`: `width` samples side by side, amp
 vectors of real parts, then 2^n of imaginary parts.
 
 A row of `words` is (x, z, imaginary, flip), from the word P = i^phase X^x Z^z: `imaginary` is phase mod 2, and `flip`
-is phase div 2. P takes amplitude b to place b ^ x, times i^phase (-1)^parity(b & z). So it couples pairs, or one
-amplitude with itself where x = 0. `signs` is the index of two vectors: a value for the sign +1, and its negative.
+is phase div 2. P takes amplitude b to place b ^ x, times i^phase (-1)^parity(b & z). It couples pairs: no word here is
+of Z's alone. `signs` is the index of two vectors: a value for the sign +1, and its negative.
+
+Each pair is met once, at its member without the highest bit of x. Names with an underscore belong to the other member:
+re + i im and re_ + i im_ are amplitudes of the state, u + i v and u_ + i v_ of the adjoint. Where the word is real, not
+imaginary, the other member's real and imaginary parts change places, and `t` has the other sign.
 """
 
 from typing import Any
@@ -45,37 +49,26 @@ def store_signs(x: Any, signs: int, width: int, value: Any) -> None:
 def rotate(x: Any, state: int, n: int, width: int, word: Any, cosine: Any, sines: int) -> None:
     """exp(-i angle/2 P), from the cosine and the `signs` of the sine of half the angle."""
     keep_apart()
-    wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
-    size = width << n
-    # A word of Z's alone: every amplitude gets a phase of its own.
-    if wx == 0:
-        for b in range(1 << n):
-            s = load(x, sines + (parity(b & wz) ^ flip) * width)
-            i = state + b * width
-            re, im = load(x, i), load(x, i + size)
-            store(x, i, cosine * re + s * im)
-            store(x, i + size, cosine * im - s * re)
-        return
-    # Else the word couples b with b ^ wx. Each pair is met once, at its member without the highest bit of wx: `high`
-    # runs over the bits above it, b over those below. Names with an underscore belong to the other member.
-    half = highest_bit(wx)
+    wx, wz, real, flip = word[0], word[1], 1 - word[2], word[3]
+    size, half = width << n, highest_bit(wx)
+    # `high` runs over the bits above the highest one of wx, b over those below.
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            s = load(x, sines + (parity((b ^ wx) & wz) ^ flip) * width)
-            i, k = state + b * width, state + (b ^ wx) * width
-            re, im = load(x, i), load(x, i + size)
-            re_, im_ = load(x, k), load(x, k + size)
-            # With an odd number of Y's the word is imaginary, and the rotation -i s P is real.
-            if imaginary:
-                store(x, i, cosine * re + s * re_)
-                store(x, i + size, cosine * im + s * im_)
-                store(x, k, cosine * re_ - s * re)
-                store(x, k + size, cosine * im_ - s * im)
-            else:
-                store(x, i, cosine * re + s * im_)
-                store(x, i + size, cosine * im - s * re_)
-                store(x, k, cosine * re_ + s * im)
-                store(x, k + size, cosine * im_ - s * re)
+            odd = parity((b ^ wx) & wz) ^ flip
+            s, t = load(x, sines + odd * width), load(x, sines + (odd ^ real) * width)
+            i = state + b * width
+            k, k_ = _other(state + (b ^ wx) * width, size, real)
+            re, im, re_, im_ = load(x, i), load(x, i + size), load(x, k), load(x, k_)
+            store(x, i, cosine * re + s * re_)
+            store(x, i + size, cosine * im + t * im_)
+            store(x, k, cosine * re_ - s * re)
+            store(x, k_, cosine * im_ - t * im)
+
+
+@inner
+def _other(base: int, size: int, real: int) -> Any:
+    """Where the real and the imaginary part of the other member lie; they change places if the word is real."""
+    return base + real * size, base + (1 - real) * size
 
 
 @inner
@@ -87,54 +80,30 @@ def rotate_back(
     `ones` are the `signs` of 1.
     """
     keep_apart()
-    wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
-    size = width << n
+    wx, wz, real, flip = word[0], word[1], 1 - word[2], word[3]
+    size, half = width << n, highest_bit(wx)
     # The gradient is the same before and after the rotation, which commutes with P. So one pass reads both states, adds
-    # to the gradient and turns both states back. The loops are as in `rotate`; re + i im is the state, u + i v the
-    # adjoint.
+    # to the gradient and turns both states back.
     total = splat(x.dtype.type(0))
-    if wx == 0:
-        for b in range(1 << n):
-            odd = (parity(b & wz) ^ flip) * width
-            s, one = load(x, sines + odd), load(x, ones + odd)
-            i, j = state + b * width, adjoint + b * width
-            re, im, u, v = load(x, i), load(x, i + size), load(x, j), load(x, j + size)
-            total = total + one * (u * im - v * re)
-            store(x, i, cosine * re - s * im)
-            store(x, i + size, cosine * im + s * re)
-            store(x, j, cosine * u - s * v)
-            store(x, j + size, cosine * v + s * u)
-        store(x, out, total)
-        return
-    half = highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            odd = (parity((b ^ wx) & wz) ^ flip) * width
-            s, one = load(x, sines + odd), load(x, ones + odd)
-            i, k = state + b * width, state + (b ^ wx) * width
-            j, m = adjoint + b * width, adjoint + (b ^ wx) * width
+            odd = parity((b ^ wx) & wz) ^ flip
+            s, t = load(x, sines + odd * width), load(x, sines + (odd ^ real) * width)
+            i, j = state + b * width, adjoint + b * width
+            k, k_ = _other(state + (b ^ wx) * width, size, real)
+            m, m_ = _other(adjoint + (b ^ wx) * width, size, real)
             re, im, u, v = load(x, i), load(x, i + size), load(x, j), load(x, j + size)
-            re_, im_, u_, v_ = load(x, k), load(x, k + size), load(x, m), load(x, m + size)
-            if imaginary:
-                total = total + one * ((u * re_ + v * im_) - (u_ * re + v_ * im))
-                store(x, i, cosine * re - s * re_)
-                store(x, i + size, cosine * im - s * im_)
-                store(x, k, cosine * re_ + s * re)
-                store(x, k + size, cosine * im_ + s * im)
-                store(x, j, cosine * u - s * u_)
-                store(x, j + size, cosine * v - s * v_)
-                store(x, m, cosine * u_ + s * u)
-                store(x, m + size, cosine * v_ + s * v)
-            else:
-                total = total + one * ((u * im_ - v * re_) + (u_ * im - v_ * re))
-                store(x, i, cosine * re - s * im_)
-                store(x, i + size, cosine * im + s * re_)
-                store(x, k, cosine * re_ - s * im)
-                store(x, k + size, cosine * im_ + s * re)
-                store(x, j, cosine * u - s * v_)
-                store(x, j + size, cosine * v + s * u_)
-                store(x, m, cosine * u_ - s * v)
-                store(x, m + size, cosine * v_ + s * u)
+            re_, im_, u_, v_ = load(x, k), load(x, k_), load(x, m), load(x, m_)
+            one, other = load(x, ones + odd * width), load(x, ones + (odd ^ real) * width)
+            total = total + one * (u * re_ - u_ * re) + other * (v * im_ - v_ * im)
+            store(x, i, cosine * re - s * re_)
+            store(x, i + size, cosine * im - t * im_)
+            store(x, k, cosine * re_ + s * re)
+            store(x, k_, cosine * im_ + t * im)
+            store(x, j, cosine * u - s * u_)
+            store(x, j + size, cosine * v - t * v_)
+            store(x, m, cosine * u_ + s * u)
+            store(x, m_, cosine * v_ + t * v)
     store(x, out, total)
 
 
@@ -142,25 +111,16 @@ def rotate_back(
 def expectation(x: Any, state: int, n: int, width: int, word: Any, ones: int, out: int) -> None:
     """<P>, a vector at `out`."""
     keep_apart()
-    wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
-    size = width << n
-    # The loops are as in `rotate`.
+    wx, wz, real, flip = word[0], word[1], 1 - word[2], word[3]
+    size, half = width << n, highest_bit(wx)
     total = splat(x.dtype.type(0))
-    if wx == 0:
-        for b in range(1 << n):
-            i = state + b * width
-            re, im = load(x, i), load(x, i + size)
-            total = total + load(x, ones + (parity(b & wz) ^ flip) * width) * (re * re + im * im)
-        store(x, out, total)
-        return
-    half = highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            one = load(x, ones + (parity((b ^ wx) & wz) ^ flip) * width)
-            i, k = state + b * width, state + (b ^ wx) * width
-            re, im, re_, im_ = load(x, i), load(x, i + size), load(x, k), load(x, k + size)
-            product = im * re_ - re * im_ if imaginary else re * re_ + im * im_
-            total = total + one * product
+            odd = parity((b ^ wx) & wz) ^ flip
+            s, t = load(x, ones + odd * width), load(x, ones + (odd ^ real) * width)
+            i = state + b * width
+            k, k_ = _other(state + (b ^ wx) * width, size, real)
+            total = total + s * (load(x, i + size) * load(x, k)) - t * (load(x, i) * load(x, k_))
     # Both members of a pair give the same real part.
     store(x, out, total + total)
 
@@ -169,30 +129,16 @@ def expectation(x: Any, state: int, n: int, width: int, word: Any, ones: int, ou
 def add_word(x: Any, state: int, adjoint: int, n: int, width: int, word: Any, weights: int) -> None:
     """adjoint += weight P state; `weights` are the `signs` of the weight."""
     keep_apart()
-    wx, wz, imaginary, flip = word[0], word[1], word[2], word[3]
-    size = width << n
-    # The loops are as in `rotate`.
-    if wx == 0:
-        for b in range(1 << n):
-            w = load(x, weights + (parity(b & wz) ^ flip) * width)
-            i, j = state + b * width, adjoint + b * width
-            store(x, j, load(x, j) + w * load(x, i))
-            store(x, j + size, load(x, j + size) + w * load(x, i + size))
-        return
-    half = highest_bit(wx)
+    wx, wz, real, flip = word[0], word[1], 1 - word[2], word[3]
+    size, half = width << n, highest_bit(wx)
     for high in range(0, 1 << n, 2 * half):
         for b in range(high, high + half):
-            w = load(x, weights + (parity((b ^ wx) & wz) ^ flip) * width)
-            i, k = state + b * width, state + (b ^ wx) * width
-            j, m = adjoint + b * width, adjoint + (b ^ wx) * width
-            re, im, re_, im_ = load(x, i), load(x, i + size), load(x, k), load(x, k + size)
-            if imaginary:
-                store(x, j, load(x, j) - w * im_)
-                store(x, j + size, load(x, j + size) + w * re_)
-                store(x, m, load(x, m) + w * im)
-                store(x, m + size, load(x, m + size) - w * re)
-            else:
-                store(x, j, load(x, j) + w * re_)
-                store(x, j + size, load(x, j + size) + w * im_)
-                store(x, m, load(x, m) + w * re)
-                store(x, m + size, load(x, m + size) + w * im)
+            odd = parity((b ^ wx) & wz) ^ flip
+            s, t = load(x, weights + odd * width), load(x, weights + (odd ^ real) * width)
+            i, j = state + b * width, adjoint + b * width
+            k, k_ = _other(state + (b ^ wx) * width, size, real)
+            m, m_ = _other(adjoint + (b ^ wx) * width, size, real)
+            store(x, j, load(x, j) - t * load(x, k_))
+            store(x, j + size, load(x, j + size) + s * load(x, k))
+            store(x, m, load(x, m) + s * load(x, i + size))
+            store(x, m_, load(x, m_) - t * load(x, i))
