@@ -79,7 +79,11 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "total": len(frame),
         "columns": columns,
         "settings": settings,
-        "shown": [name for name in usual if name in columns and (name == first or "values" in columns[name])],
+        "shown": [
+            name
+            for name in usual
+            if name in columns and (name in (first, metric, *others) or "values" in columns[name])
+        ],
         "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
         "quality": quality,
