@@ -145,21 +145,25 @@ def row_keys(runs: pd.DataFrame) -> list[str]:
 
 
 def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, object]:
-    """The classical configuration as a baseline; of several that differ in their steps alone, the one with most runs.
+    """The classical configuration as a baseline; of several the one on most scenes, then the one with most runs.
 
-    `qnerf decide --equal time` trains a first run to measure a step, and then all runs with more steps.
-    ValueError where no scene has one, or a scene has several.
+    Its steps may differ between scenes: `qnerf decide --equal time` trains a first run to measure a step, and then all
+    runs with more steps. ValueError where there is none.
     """
     classical = runs[runs["field"] == "classical"] if "field" in rows else runs[:0]
-    counts = classical.groupby(list(rows), dropna=False).size().rename("runs").reset_index()
-    scenes = counts.groupby("scene_name", dropna=False)
-    most = counts[counts["runs"] == scenes["runs"].transform("max")]
-    differing = [key for key in rows if key not in SCENES and (scenes[key].nunique(dropna=False) > 1).any()]
-    if most.empty or most["scene_name"].duplicated().any() or set(differing) - {"train.steps"}:
+    if classical.empty:
         key = next((key for key in rows if key not in SCENES), "color")
-        such = f"{key}={label(runs[key].iloc[0])}" if key in rows else "color=3x64"
-        raise ValueError(f"expected one classical configuration in a scene: give --baseline, such as {such}")
-    return {"field": "classical"} | {key: list(most[key].unique()) for key in differing}
+        raise ValueError(f"there is no classical field: give --baseline, such as {key}={label(runs[key].iloc[0])}")
+    keys = [key for key in rows if key not in (*SCENES, "train.steps")]
+    groups = classical.groupby(classical.groupby(keys, dropna=False).ngroup())
+    sizes = pd.DataFrame({"scenes": groups["scene_name"].nunique(), "runs": groups.size()})
+    own = groups.get_group(sizes.sort_values(["scenes", "runs"], ascending=False, kind="stable").index[0])
+    found = {key: own[key].iloc[0] for key in keys if classical[key].nunique(dropna=False) > 1}
+    if "train.steps" in rows:
+        found["train.steps"] = list(
+            own.groupby("scene_name")["train.steps"].agg(lambda steps: steps.mode().max()).unique()
+        )
+    return {"field": "classical"} | found
 
 
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:

@@ -30,7 +30,8 @@ def forest(
     A mark is a configuration in a scene with its 95 % interval, a diamond a mean over scenes; the band is ± the
     smallest difference that matters. ValueError as of `across_scenes`, and where a scene has no classical baseline.
     """
-    runs = select(frame, metric := metric or main_metric(frame)).runs
+    selection = select(frame, metric := metric or main_metric(frame))
+    runs = selection.runs
     rows = row_keys(runs)
     table = across_scenes(frame, rows, baseline or classical_baseline(runs, rows), metric=metric, within=within)
     known = table.data[table.data["freedom"] > 0]
@@ -58,5 +59,5 @@ def forest(
         look = {"transform": ax.get_yaxis_transform(), "ha": "right", "va": "center", "weight": "bold"}
         ax.text(0, place[number] + 1.1, f"{shown['configuration'].iloc[number]} ", **look)
     style.legend(figure)
-    style.footnote(figure, *table.notes, f"not drawn: {left} rows" if left else "")
+    style.footnote(figure, table.notes[0], selection.note, f"not drawn: {left} rows" if left else "")
     return figure

@@ -78,6 +78,7 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
     say("tables and figures")
     judged = {name: getattr(options, name) for name in ("baseline", "metric", "within")}
     sections = parts.parts(frame, **judged)
+    named = [(part.id, part.name) for part in sections]
     return {
         "title": options.title,
         "store": options.store,
@@ -89,7 +90,7 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "verdicts": verdicts(frame, **judged),
         "forest": draw("forest", frame, **judged)[0],
-        "sections": [*SECTIONS, *((part.id, part.name) for part in sections)],
+        "sections": [SECTIONS[0], *named[:1], *SECTIONS[1:], *named[1:]],
         "note": drawn.note,
         "absent": {
             "pictures": content.no_pictures(drawn),
@@ -111,8 +112,8 @@ def write(html: str, out: str) -> Path:
 
 SECTIONS = (
     ("verdicts-section", "Verdicts"),
-    ("runs-section", "Runs"),
     ("curves-section", "Curves"),
+    ("runs-section", "Runs"),
     ("compared-section", "Compare"),
     ("explore-section", "Explore"),
 )

@@ -12,7 +12,7 @@ function colouring(key, runs) {
   if (key !== "run_id") levels.sort((a, b) => String(a).localeCompare(String(b), "en", { numeric: true }));
   const grey = DATA.palette.at(-1);
   const colours = new Map(levels.map((level, place) =>
-    [level, (key === "field" ? DATA.fields[level]?.colour : null) ?? DATA.palette[place] ?? grey]));
+    [level, (key === "field" ? DATA.fields[level]?.colour : null) ?? DATA.palette.slice(0, -1)[place] ?? `hsl(${(place * 137.5) % 360} 55% 50%)`]));
   const there = new Set(runs.map((run) => text(value(key, run))));
   const entries = levels.filter((level) => there.has(level)).map((level) => [String(level), colours.get(level)]);
   return { of: (run) => colours.get(text(value(key, run))) ?? grey, entries };
@@ -49,6 +49,9 @@ function middle(name, most) {
   const end = Math.floor(most / 2);
   return `${name.slice(0, most - end - 1)}…${name.slice(-end)}`;
 }
+
+/** What runs are grouped by to begin with: configurations, as long as their colours can be told apart. */
+const groupKey = () => (new Set(column("configuration")).size <= 16 && telling().includes("configuration") ? "configuration" : "field");
 
 /** Columns to choose colours from: those whose values differ, the usual ones first. */
 function telling() {

@@ -7,11 +7,12 @@ from typing import Any
 import pandas as pd
 
 from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of, quality_metrics
+from qnerf.records import filters
 
 from .. import style
 from ..figures import points
 from ..load import with_needed
-from ..selection import configuration, main_metric
+from ..selection import configuration, main_metric, row_keys
 from . import curves, pictures
 from .columns import packed
 
@@ -20,7 +21,7 @@ LABEL_COLUMNS = ("scene_name", "field", "encoder", "density", "color", "seed")
 COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
 """The table of runs shows these to begin with, and the image metrics before the costs."""
 
-UNLESS_CONSTANT = ("scene_name", "encoder", "density", "color", "tags")
+MOST_KEYS = 8  # that tell configurations apart, among the first columns
 
 HEADINGS = {"run_id": "run", "scene_name": "scene", "color": "colour"}
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
@@ -71,18 +72,23 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
     quality = [metric.key for metric in quality_metrics()]
     metric = main_metric(frame)
     first, *others = FIRST_COLUMNS
-    usual = list(dict.fromkeys((first, metric, *others, *LABEL_COLUMNS, *quality, *COST_COLUMNS)))
+    readable = frame[frame["state"] != "damaged"]
+    differing = row_keys(readable)[:MOST_KEYS] if len(readable) else []
+    usual = list(dict.fromkeys((first, metric, *others, *LABEL_COLUMNS, *differing, *quality, *COST_COLUMNS)))
     return {
         "total": len(frame),
         "columns": columns,
         "settings": settings,
         "shown": [
-            name for name in usual if name in columns and not (name in UNLESS_CONSTANT and frame[name].nunique() < 2)
+            name
+            for name in usual
+            if name in columns and (name in (first, metric, *others) or "values" in columns[name])
         ],
         "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
         "quality": quality,
         "metric": metric,
+        "aliases": filters.ALIASES,
         "scenes": finished.value_counts().index.tolist(),
         "fields": {name: {"colour": color, "symbol": SYMBOLS[mark]} for name, (color, mark) in style.FIELDS.items()},
         "palette": style.PALETTE,

@@ -9,22 +9,31 @@ async function drawCurvesNow() {
   const runs = source.withCurves(selection.runs).slice(0, Number($("curve-most").value));
   const names = await source.keys(runs);
   if (number !== drawing) return;
-  options($("curve-key"), Object.entries(names), Object.keys(names)[0]);
-  const key = $("curve-key").value;
-  const logged = key ? await source.curves(runs, key) : new Map();
+  options($("curve-key"), [["", "the first four"], ...Object.entries(names)], "");
+  const keys = $("curve-key").value ? [$("curve-key").value] : Object.keys(names).slice(0, 4);
+  const logged = await Promise.all(keys.map((key) => source.curves(runs, key)));
   await plotly;
   if (number !== drawing) return;
-  const having = runs.filter((run) => logged.has(run));
+  const having = runs.filter((run) => logged.some((own) => own.has(run)));
   const paint = colouring($("curve-by").value, having);
   const by = $("curve-x").value;
-  const lines = having.map((run) => {
-    const { step, time, value: values } = logged.get(run);
-    return { run, x: by === "step" ? step : time, y: values };
+  const layout = plotLayout(by === "step" ? "step" : "time, s", names[keys[0]] ?? "", { yaxis: { type: pressed("curve-log") ? "log" : "linear" } });
+  if (!having.length) layout.annotations = [{ text: "no selected run has logged this yet", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }];
+  const across = keys.length > 1 && $("curves-plot").clientWidth > 600 ? 2 : 1;
+  if (keys.length > 1) layout.grid = { columns: across, rows: Math.ceil(keys.length / across), pattern: "independent", ygap: 0.3 };
+  $("curves-plot").style.height = keys.length > 1 ? `${17 * layout.grid.rows}rem` : "";
+  const traces = keys.flatMap((key, place) => {
+    const axis = place ? place + 1 : "";
+    layout[`xaxis${axis}`] = layout.xaxis;
+    layout[`yaxis${axis}`] = { ...layout.yaxis, title: { ...layout.yaxis.title, text: escaped(names[key]) } };
+    const lines = runs.filter((run) => logged[place].has(run)).map((run) => {
+      const { step, time, value: values } = logged[place].get(run);
+      return { run, x: by === "step" ? step : time, y: values };
+    });
+    const drawn = pressed("curve-mean") ? bands(lines, paint) : lines.map((line) => single(line, paint));
+    return drawn.map((trace) => ({ ...trace, xaxis: `x${axis}`, yaxis: `y${axis}` }));
   });
-  const layout = plotLayout(by === "step" ? "step" : "time, s", names[key] ?? "", { yaxis: { type: pressed("curve-log") ? "log" : "linear" } });
-  if (!lines.length) layout.annotations = [{ text: "no selected run has logged this yet", showarrow: false, xref: "paper", yref: "paper", x: 0.5, y: 0.5 }];
-  const traces = pressed("curve-mean") ? bands(lines, paint) : lines.map((line) => single(line, paint));
-  await Plotly.react("curves-plot", traces, { ...layout, showlegend: false, uirevision: `${key} ${by}` }, plotSettings);
+  await Plotly.react("curves-plot", traces, { ...layout, showlegend: false, uirevision: `${keys} ${by}` }, plotSettings);
   $("curves-plot").removeAllListeners("plotly_click");
   $("curves-plot").on("plotly_click", ({ points: [point] }) => { if (typeof point.customdata === "number") openRun(point.customdata); });
   drawLegend($("curves-legend"), $("curve-by").value, paint.entries);
@@ -58,14 +67,15 @@ function bands(lines, paint) {
     const css = paint.of(members[0].run);
     const points = meanAndStd(members);
     const several = points.filter((point) => point.std !== null);
+    const least = members.every(({ y }) => y.every((v) => v === null || v >= 0)) ? 0 : -Infinity; // of a loss
     const band = {
       x: [...several.map((p) => p.x), ...several.map((p) => p.x).reverse()],
-      y: [...several.map((p) => p.mean + p.std), ...several.map((p) => p.mean - p.std).reverse()],
+      y: [...several.map((p) => p.mean + p.std), ...several.map((p) => Math.max(least, p.mean - p.std)).reverse()],
       mode: "lines", line: { width: 0 }, fill: "toself", fillcolor: css, opacity: 0.2, hoverinfo: "skip",
     };
     const label = `${escaped(name ?? "none")} (${members.length})`;
     const line = {
-      name: label, mode: "lines", x: points.map((p) => p.x), y: points.map((p) => p.mean), line: { color: css, width: 1.8 },
+      name: label, mode: points.length < 12 ? "lines+markers" : "lines", marker: { size: 5 }, x: points.map((p) => p.x), y: points.map((p) => p.mean), line: { color: css, width: 1.8 },
       text: points.map((p) => (p.std === null ? "" : ` ± ${p.std.toPrecision(3)}`)),
       hovertemplate: "%{fullData.name}<br>%{x:,.4~g}: %{y:.4~g}%{text}<extra></extra>",
     };
@@ -101,13 +111,13 @@ function interpolated({ x: places, y }, x) {
 }
 
 function offerCurves() {
-  options($("curve-by"), [["", "one colour"], ...telling().map((name) => [name, heading(name)])], "field");
+  options($("curve-by"), [["", "one colour"], ...telling().map((name) => [name, heading(name)])], groupKey());
 }
 
 function startCurves() {
   offerCurves();
   for (const id of ["curve-mean", "curve-log"]) $(id).addEventListener("click", () => { toggle($(id)); drawCurves(); });
-  for (const id of ["curve-key", "curve-x", "curve-by", "curve-most"]) $(id).addEventListener("input", drawCurves);
+  for (const id of ["curve-key", "curve-x", "curve-by", "curve-most"]) $(id).addEventListener("change", drawCurves);
   keep("curve-key", "curve-x", "curve-by", "curve-most", "curve-mean", "curve-log");
   seenCurves = whenSeen("curves-section", drawCurvesNow);
   selection.listeners.push(drawCurves);

@@ -21,7 +21,11 @@ def arranged(keys: Iterable[str]) -> list[str]:
     """Keys of metrics.parquet in the order in which a page offers them: the usual ones, then the others."""
     found = set(keys)
     held_out = [f"eval/{metric.key}" for metric in quality_metrics()]
-    usual = [key for key in (*held_out, "train/psnr", "train/loss", "train/mse", "time/step_ms") if key in found]
+    usual = [
+        key
+        for key in ("train/loss", "loss", held_out[0], "train/psnr", *held_out[1:], "train/mse", "time/step_ms")
+        if key in found
+    ]
     return [*usual, *sorted(found.difference(usual))]
 
 

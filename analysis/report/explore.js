@@ -30,8 +30,9 @@ function offerExplore() {
   const usual = [DATA.metric, "ssim", "params.heads", "params.total", "step_ms", "train_s"].filter((name) => numbers.includes(name));
   const named = (names) => [...new Set(names)].map((name) => [name, heading(name)]);
   options($("scatter-y"), named([...usual, ...numbers]), DATA.metric);
-  options($("scatter-x"), named([...usual, ...telling(), ...numbers]), "params.heads");
-  options($("scatter-by"), [["", "one colour"], ...named(telling())], "field");
+  const across = ["params.heads", ...telling().filter((name) => name !== "configuration")].find((name) => numbers.includes(name) && name !== DATA.metric);
+  options($("scatter-x"), named([...usual, ...telling(), ...numbers]), across);
+  options($("scatter-by"), [["", "one colour"], ...named(telling())], groupKey());
 }
 
 function startExplore() {

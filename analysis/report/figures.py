@@ -24,8 +24,8 @@ class Drawn:
     height: int
 
 
-def draw(name: str, frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], list[str]]:
-    """The figure of `FIGURES`, one a scene where it speaks of one scene, and why it cannot be drawn where it cannot."""
+def draw(name: str, frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], dict[str, str]]:
+    """The figure of `FIGURES`, one a scene where it speaks of one scene, and title -> why it cannot be drawn."""
     entry, title = FIGURES[name], FIGURES[name].title
     drawn: list[Drawn] = []
     absent: dict[str, str] = {}
@@ -36,7 +36,7 @@ def draw(name: str, frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], li
             drawn.append(embedded(own, entry.draw(runs, **judged)))
     if absent and not drawn:
         absent = {title: next(iter(absent.values()))}
-    return drawn, [f"{own}: {reason}" for own, reason in absent.items()]
+    return drawn, absent
 
 
 def embedded(title: str, figure: Figure) -> Drawn:

@@ -57,6 +57,7 @@ EMPTY = {
     "decisions": None,
     "verdicts": None,
     "forest": (),
+    "parts": (),
 }
 """What a page may leave out."""
 

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from ..figures import FIGURES
+from ..figures.files import by_reason
 from .figures import Drawn, draw
 from .tables import ShownTable, attempt, decisions, over_seeds
 
@@ -33,8 +34,10 @@ def parts(frame: pd.DataFrame, **judged: Any) -> list[Part]:
     if (decided := decisions(Path(str(frame["path"].iloc[0])).parent)) is not None:
         configurations.tables.append(decided)
     more = Part("more", "Figures", "Figures")
+    absent: dict[str, str] = {}
     for name in [name for name in FIGURES if name not in SHOWN_ABOVE]:
-        drawn, absent = draw(name, frame, **judged)
+        drawn, reasons = draw(name, frame, **judged)
         more.figures += drawn
-        more.absent += absent
+        absent |= reasons
+    more.absent = [f"{titles}: {reason}" for reason, titles in by_reason(absent).items()]
     return [configurations, more]

@@ -9,13 +9,14 @@ function parseFilter(text) {
   return (run) => conditions.every((meets) => meets(run));
 }
 
-const ALIASES = { id: "run_id", tag: "tags" };
-
 function conditionOf(word) {
   const [, name, operator, wanted] = /^([^=<>!]+)(!=|[=<>])(.*)$/s.exec(word) ?? [];
-  const key = ALIASES[name] ?? name;
-  if (!key) return (run) => value("run_id", run).includes(word);
-  if (!columns.has(key)) throw new Error(`no run has a column ${key}`);
+  if (!name) return (run) => value("run_id", run).includes(word);
+  const key = DATA.aliases[name] ?? name.replace(/^colour\./, "color.");
+  if (!columns.has(key)) {
+    const near = [...columns.keys()].filter((one) => one.includes(key)).slice(0, 4).join(", ");
+    throw new Error(`no run has a column ${key}${near && `; did you mean ${near}?`}`);
+  }
   if (operator === "<") return (run) => typeof value(key, run) === "number" && value(key, run) < Number(wanted);
   if (operator === ">") return (run) => typeof value(key, run) === "number" && value(key, run) > Number(wanted);
   const values = [wanted, ...wanted.split(",")];

@@ -48,13 +48,15 @@ def verdicts(
         reference = baseline or classical_baseline(runs, rows)
         table = across_scenes(runs, rows, reference, metric=metric, within=within)
         cards: dict[str, list[tuple[str, ...]]] = defaultdict(list)
-        for name, scene, difference, verdict, seeds in table.text.itertuples(index=False):
+        best = (table.data["difference"] * metric_of(metric).sign).sort_values(ascending=False, kind="stable").index
+        for name, scene, difference, verdict, seeds in table.text.loc[best].itertuples(index=False):
             if seeds:  # else a mean over scenes, which the forest plot shows
                 cards[scene].append(
                     (name, verdict, f"{difference} {metric_of(metric).unit or metric}", f"{seeds} seeds")
                 )
         more = max(map(len, cards.values()), default=0) - MOST
-        note = f"Of {more + MOST} configurations, the first {MOST} are here. " if more > 0 else ""
-        shown = {scene: decided.pop(scene, []) + own[:MOST] for scene, own in cards.items()}
-        return Verdicts(shown | decided, f"{note}{table.notes[0]}.")
+        note = f"Of {more + MOST} configurations, the best {MOST} are here. " if more > 0 else ""
+        said = table.notes[0]
+        shown = {scene: decided.pop(scene, []) + cards[scene][:MOST] for scene in sorted(cards)}
+        return Verdicts(shown | decided, f"{note}{said[0].upper()}{said[1:]}.")
     return Verdicts(decided, absent="" if decided else f"No verdict: {errors['verdicts']}")

@@ -141,10 +141,10 @@ class Answers:
 SECTIONS = (
     ("verdicts-section", "Verdicts"),
     ("training-section", "In training"),
-    ("runs-section", "Runs"),
-    ("curves-section", "Curves"),
-    ("compared-section", "Compare"),
     ("differences-section", "Differences"),
+    ("curves-section", "Curves"),
+    ("runs-section", "Runs"),
+    ("compared-section", "Compare"),
     ("explore-section", "Explore"),
 )
 

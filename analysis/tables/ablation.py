@@ -64,17 +64,19 @@ def compose(
     seeds = table[("seeds", "n")]
     text = pd.DataFrame({name: table.index.get_level_values(name).map(label) for name in table.index.names})
     bold = pd.DataFrame(index=text.index)
-    for name in names:
+    for place, name in enumerate(sorted(names, key=lambda name: name != metric)):
         column = table[name]
         numbers = zip(column["mean"], column["std"], column["n"], seeds, strict=True)
         text[metric_of(name).heading] = [mean_and_spread(name, *row) for row in numbers]
         bold[metric_of(name).heading] = False if name in unranked else best(table, name).to_numpy()
+        if place == 0 and verdicts is not None:
+            heading = f"difference, {metric_of(metric).heading}"
+            text[heading] = ["" if found is None else interval(found, metric) for found in verdicts]
+            text["verdict"] = ["" if found is None else found.text(metric) for found in verdicts]
+        if place == 0:
+            text["seeds"] = seeds.map("{:d}".format).to_numpy()
     if verdicts is not None:
-        heading = f"difference, {metric_of(metric).heading}"
-        text[heading] = ["" if found is None else interval(found, metric) for found in verdicts]
-        text["verdict"] = ["" if found is None else found.text(metric) for found in verdicts]
         table = table.join(pd.concat({"difference": as_numbers(verdicts).set_index(table.index)}, axis=1))
-    text["seeds"] = seeds.map("{:d}".format).to_numpy()
     single = int((seeds == 1).sum())
     remark = f"n = 1 in {single} of {len(seeds)} rows: no spread" if single else ""
     return Table(title, text, table, bold, (*notes, remark, *unranked.values()))

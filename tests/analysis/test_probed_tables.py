@@ -83,7 +83,7 @@ def test_dead_units_and_spread_are_means_over_layers_and_seeds(store):
     assert row["dead @ start"] == pytest.approx(0.5 * 12 / 16)
     assert row["dead @ end"] == pytest.approx(12 / 16)
     assert (row["spread @ start"], row["spread @ end"]) == (pytest.approx(0.001), pytest.approx(1.0))
-    assert "| classical | 24.50 ± 0.71 | 0.38 ± 0.00 | 0.75 ± 0.00 | 0.001 ± 0 | 1 ± 0.7071 | 2 |" in table.markdown()
+    assert "| classical | 24.50 ± 0.71 | 2 | 0.38 ± 0.00 | 0.75 ± 0.00 | 0.001 ± 0 | 1 ± 0.7071 |" in table.markdown()
     assert "left out: 2 not probed" in table.markdown()
     with pytest.raises(ValueError, match="no run was probed: qnerf probe RUN units"):
         units(load.runs(store, "field=qcolor"), ["field"])

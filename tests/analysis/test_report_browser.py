@@ -33,6 +33,7 @@ def browser(tmp_path_factory):
 @pytest.fixture
 def page(browser, report):
     browser.opened(report)
+    browser.execute_script("document.getElementById('runs-section').scrollIntoView({behavior: 'instant'})")
     yield browser
     assert browser.errors() == []
 
@@ -63,8 +64,8 @@ def test_filters_select_runs_and_mistakes_are_said(page, store):
         page.wait(lambda status=status: page.by_id("page-status").text.endswith(status))
         assert len(page.rows()) == count
     field.clear()
-    field.send_keys("colour=1L2S")
-    page.wait(lambda: page.by_id("filter-error").text.startswith("no run has a column colour"))
+    field.send_keys("layers=2")
+    page.wait(lambda: page.by_id("filter-error").text.startswith("no run has a column layers; did you mean "))
     field.clear()
     page.choose("state", "failed")
     page.wait(lambda: len(page.rows()) == 1)
@@ -153,7 +154,7 @@ def test_the_view_comes_back_from_its_address(browser, page, report):
 def test_means_and_bands_are_those_of_the_runs(page):
     page.execute_script("document.getElementById('curves-section').scrollIntoView({behavior: 'instant'})")
     page.choose("curve-key", "train/psnr")
-    page.by_id("curve-mean").click()
+    page.choose("curve-by", "field")
     page.wait(lambda: len(page.execute_script("return document.getElementById('curves-plot').data ?? []")) == 4)
     lines = page.execute_script("return document.getElementById('curves-plot').data.map((t) => [t.name, t.y])")
     means = {name.split(" ")[0]: y for name, y in lines if name}
