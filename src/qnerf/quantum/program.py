@@ -9,10 +9,10 @@ Every gate is a product of rotations exp(-i angle/2 P) about Pauli words P (`gat
 - `Turn`: a rotation about any other word.
 
 From `PRODUCT_WIRES` on, a product of rotations of one wire is RZ RY RZ with angles of each step (`angles.Products`); a
-rotation by data is RZ between fixed rotations. A rotation joins the earliest block of its kind that it can move back to, past
-all that it commutes with. So gates merge, in whatever order they are written. Rotations by pi are Pauli words: they are
-carried to the end of the circuit, and turn signs of angles on their way. Two equal CNOTs with phases between them
-become other phases. What has no effect on the start or on what is measured is left out.
+rotation by data is RZ between fixed rotations. A rotation joins the earliest block of its kind that it can move back
+to, past all that it commutes with. So gates merge, in whatever order they are written. Rotations by pi are Pauli words:
+they are carried to the end of the circuit, and turn signs of angles on their way. Two equal CNOTs with phases between
+them become other phases. What has no effect on the start or on what is measured is left out.
 
 >>> from qnerf.quantum.circuit import ANSATZE
 >>> found = program(ANSATZE.build("qiren", 4, 1))
