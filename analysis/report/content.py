@@ -82,7 +82,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         "shown": [
             name
             for name in usual
-            if name in columns and (name in (first, metric, *others) or "values" in columns[name])
+            if name in columns and (name in (first, *others, *quality, metric) or "values" in columns[name])
         ],
         "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.text import Text
 
-from qnerf.cli.table import Column, Row, fitting, print_table
+from qnerf.cli.table import Column, Row, print_table
 from qnerf.metrics import METRICS
 from qnerf.records.printable import printable
 
@@ -24,8 +24,7 @@ def print_aligned(table: Table, console: Console) -> None:
     ranks = {title: rank for rank, title in enumerate(metrics, 1)}
     columns = [_column(table, title, ranks.get(title, 0)) for title in titles]
     rows = [{"number": number} for number in range(len(table.text))]
-    print_table(console, columns, rows)
-    shown = {column.title for column in fitting(columns, rows, console.width)}
+    shown = print_table(console, columns, rows)
     left = [title for title in titles if title not in shown]
     notes = [*table.notes, f"left out, because the terminal is narrow: {', '.join(left)}"] if left else table.notes
     for note in notes:

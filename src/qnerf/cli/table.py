@@ -44,11 +44,14 @@ def metric_column(metric: Metric, title: str | None = None, rank: int = 0, style
     )
 
 
-def print_table(console: Console, columns: Sequence[Column], rows: Sequence[Row]) -> None:
-    if console.is_terminal:
-        console.print(table(columns, rows, console.width))
-    else:
+def print_table(console: Console, columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
+    """Prints the columns that fit, all of them where nobody reads a terminal; returns their titles."""
+    if not console.is_terminal:
         console.file.writelines(f"{line}\n" for line in plain_lines(columns, rows))
+        return [column.title for column in columns]
+    shown = table(columns, rows, console.width)
+    console.print(shown)
+    return [str(column.header) for column in shown.columns]
 
 
 def plain_lines(columns: Sequence[Column], rows: Sequence[Row]) -> Iterator[str]:
