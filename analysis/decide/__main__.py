@@ -53,7 +53,7 @@ UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    options = parser().parse_args(arguments)
+    options = parser().parse_intermixed_args(arguments)
     if len(set(options.candidates)) < max(2, len(options.candidates)):
         raise ValueError(f"expected at least two candidates, each once, got {' '.join(options.candidates)}")
     question = Question(

@@ -222,7 +222,10 @@ def test_several_all_are_one(trainings, tmp_path):
         (["field=qcolor", "field=classical", "--all", "run.force=true"], "run.force=true: finished runs count"),
         (["field=qcolor,qboth", "field=classical"], "field=qcolor,qboth: expected one value in a candidate"),
         (["head=mlp", "head=siren", "scene=photograph"], "scene=photograph: .* --scene or --all scene=photograph"),
-        (["head=mlp", "head=siren", "train.steps=2"], "train.steps=2: sets none of head, .* it is --all train.steps=2"),
+        (
+            ["head=mlp", "head=siren", "--all", "train.rays=8", "train.steps=2"],
+            "train.steps=2: sets none of head, .* it is --all train.steps=2",
+        ),
     ],
 )
 def test_decide_refuses_what_a_study_cannot_honour(asked, message, tmp_path):
