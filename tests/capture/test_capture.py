@@ -178,6 +178,9 @@ def test_a_command_poses_a_known_scene(tmp_path: Path, capsys: pytest.CaptureFix
     assert "not posed: 9.png" in told
     scene = SCENES.build("nerfstudio", path=str(tmp_path / "my scene"))
     assert "k1" not in json.loads((tmp_path / "my scene" / "transforms.json").read_text())
+    sparse = SCENES.build("colmap", path=str(tmp_path / "my scene"), points=True)
+    assert sparse.points is not None
+    assert set(sparse.points[:, 0].tolist()) == set(range(7))
     turns = scene.cameras.poses[:, :, :3].numpy()
     truth = of.poses[:, :, :3].numpy()
     for view in range(6):  # rotations between neighbours do not depend on the world's axes

@@ -151,8 +151,9 @@ def _beside(out: Path) -> Path:
 def _write(undistorted: Path, scene: Path) -> Path:
     """Moves what `steps.undistort` wrote to the folder `scene`, and writes transforms.json beside it."""
     scene.mkdir()
-    os.replace(undistorted / "images", scene / "images")
-    content = transforms(read_model(undistorted / "sparse"))
+    for part in ("images", "sparse"):
+        os.replace(undistorted / part, scene / part)
+    content = transforms(read_model(scene / "sparse"))
     (scene / "transforms.json").write_text(json.dumps(content, indent=1))
     return scene
 

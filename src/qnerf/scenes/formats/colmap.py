@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from qnerf.config.bounds import Count
 from qnerf.scenes.base import SCENES, Scene
@@ -76,27 +77,23 @@ def colmap(
         where = f"no COLMAP model{contents(folder.path, FORMATS['colmap'])}" if model is None else f"none in {model}"
         raise ValueError(f"scene.path={str(path)!r} has {where}; expected cameras.bin and images.bin, or .txt")
     content = read_model(place)
-    seen = read_points(place) if points else None
-    posed = sorted(
-        (posed_image(folder, images, frame, seen) for frame in content["frames"]), key=lambda image: image.name
-    )
+    seen = read_points(place) if points else {}
+    posed = [
+        posed_image(folder, images, frame, np.array(seen.get(number, [])).reshape(-1, 3) if points else None)
+        for number, frame in zip(content["numbers"], content["frames"], strict=True)
+    ]
+    posed.sort(key=lambda image: image.name)
     top = place.relative_to(folder.path).parts[:1] or tuple(file.name for file in place.glob("*.*"))
     capture = Capture("colmap", folder, place, posed, remarks=[*others, *content["remarks"]], read=top)
     return load_scene(capture, downscale, width, skip_missing=skip_missing, eval_every=eval_every)
 
 
-def posed_image(
-    folder: SceneFolder, images: str, frame: dict[str, Any], seen: dict[int, list[Sequence[float]]] | None
-) -> PosedImage:
-    """A frame of `read_model` with its photograph, in the folder `images`, in the scene's folder, or in images_2 ...
-
-    seen: see `read_points`.
-    """
+def posed_image(folder: SceneFolder, images: str, frame: dict[str, Any], points: NDArray | None = None) -> PosedImage:
+    """A frame of `read_model` with its photograph, in the folder `images`, in the scene's folder, or in images_2 ..."""
     own, named = frame["file_path"], f"{images}/{frame['file_path']}"
     file = folder.image(named)
     name = named if file or folder.image(own) is None else own
     file = file or folder.image(own) or folder.image(posixpath.splitext(named)[0]) or folder.smaller(named)
-    points = None if seen is None else np.array(seen.get(frame["number"], [])).reshape(-1, 3)
     return PosedImage(name, file, np.array(frame["transform_matrix"]), frame, points=points)
 
 
@@ -142,7 +139,7 @@ def posed_count(place: Path) -> int:
 def read_model(place: Path) -> dict[str, Any]:
     """The posed images of a COLMAP model as the content of a transforms file; `file_path` is COLMAP's image name.
 
-    `remarks` lists what was left out.
+    `numbers` has COLMAP's number of each frame, `remarks` what was left out.
 
     Raises:
         ValueError: a file is damaged or missing, a camera model is not supported, or no image is posed.
@@ -157,12 +154,11 @@ def read_model(place: Path) -> dict[str, Any]:
     if not images:
         raise ValueError(f"{images_file}: no image is posed")
     frames = []
-    for number, (name, pose, camera) in images.items():
+    for name, pose, camera in images.values():
         if camera not in cameras:
             raise ValueError(f"{images_file}: image {name!r} has camera {camera}, which {cameras_file.name} lacks")
-        matrix = camera_to_world(*pose)
-        frames.append({"file_path": name, "number": number, "transform_matrix": matrix, **cameras[camera]})
-    return {"frames": frames, "remarks": remarks}
+        frames.append({"file_path": name, "transform_matrix": camera_to_world(*pose), **cameras[camera]})
+    return {"frames": frames, "numbers": list(images), "remarks": remarks}
 
 
 def read_points(place: Path) -> dict[int, list[Sequence[float]]]:
