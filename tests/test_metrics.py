@@ -49,9 +49,11 @@ def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     text = f"{value:.4f}"
 
     assert f"mean absolute error {text}" in " ".join(printed(print_outcome, outcome).split())
+    assert "geo_features" not in printed(print_outcome, outcome)
     shown = printed(show.show, details.read(outcome.path))
     assert f"mean absolute error {text}" in shown
     assert f"{views['toy_error'].iloc[0]:.4f}" in shown
+    assert "render.near" not in shown  # options are no metrics
     listed = runs.load(str(tmp_path / "runs"), ["toy_error"])
     lines = printed(runs.print_runs, listed, 0, ["toy_error"]).splitlines()
     assert (lines[0].split()[-1], lines[1].split()[-1]) == ("toy_error", text)

@@ -1,7 +1,7 @@
 """`qnerf show RUN`: everything about one run."""
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -80,15 +80,15 @@ def state_line(run: Run) -> Text:
 
 
 def _results(out: Console, run: Run) -> None:
-    if lines := list(results(run["results"])):
+    if lines := list(results(run["results"], _own_metrics(run["results"], run["config"]))):
         _section(out, "results")
         for name, text in lines:
             pair(out, name, text)
 
 
-def results(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Title and text of what a summary says: quality, parameters, times."""
-    metrics = [item for item in (*quality_metrics(), *_own_metrics(values)) if not missing(values.get(item.key))]
+def results(values: Mapping[str, Any], own: Sequence[Metric] = ()) -> Iterator[tuple[str, str]]:
+    """Title and text of what a summary says: quality, parameters, times. own: metrics that nobody declared."""
+    metrics = [item for item in (*quality_metrics(), *own) if not missing(values.get(item.key))]
     if metrics:
         texts = [f"{item.label} {measured(values[item.key], item, unit=True)}" for item in metrics]
         views = "" if missing(values.get("eval_views")) else f"views {count(values['eval_views'])}"
@@ -108,9 +108,11 @@ def results(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "per step", "   ".join(f"{name} {measured(value, step)}" for name, value in times.items()) + " ms"
 
 
-def _own_metrics(values: Mapping[str, Any]) -> list[Metric]:
-    """The numbers of a tracked run's `finish` that nobody declared."""
-    return [metric_of(key) for key, value in values.items() if known_kind(key) is None and is_number(value)]
+def _own_metrics(values: Mapping[str, Any], config: Mapping[str, Any]) -> list[Metric]:
+    """The numbers of a tracked run that nobody declared. No result has the name of an option, or a dot."""
+    options = flatten(config)
+    names = [key for key, value in values.items() if known_kind(key) is None and is_number(value)]
+    return [metric_of(name) for name in names if name not in options and "." not in name]
 
 
 def _views(out: Console, run: Run) -> None:
@@ -118,7 +120,7 @@ def _views(out: Console, run: Run) -> None:
     if not views:
         return
     _section(out, f"held-out views after step {count(views[0]['step'])}")
-    known = (*quality_metrics(), *_own_metrics(views[0]))
+    known = (*quality_metrics(), *_own_metrics(views[0], run["config"]))
     metrics = [item for item in known if not all(missing(view.get(item.key)) for view in views)]
     columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, metrics)]
     print_table(out, columns, views)
