@@ -93,5 +93,5 @@ def check_background(scene: Scene, settings: Settings) -> None:
     if scene.has_alpha and settings.render.background == "last_sample":
         raise ValueError(
             f"scene {scene.name}: the images have alpha, which render.background=last_sample cannot be compared with; "
-            "use render.background=white, black or random"
+            "use render.background=random, or white or black, in front of which a pale or dark object may not form"
         )
