@@ -317,7 +317,7 @@ def test_a_loss_that_turns_nan_names_step_and_part_and_keeps_the_last_good_check
 
 def test_images_with_alpha_need_a_background_of_known_colour(tiny, tmp_path):
     folder = write_scene(tmp_path / "rgba", channels=4)
-    with pytest.raises(ValueError, match=r"use render\.background=white"):
+    with pytest.raises(ValueError, match=r"use render\.background=random"):
         run(tiny("scene=nerfstudio", f"scene.path={folder}"))
     for background in ("white", "random"):
         assert (
