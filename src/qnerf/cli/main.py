@@ -4,12 +4,12 @@ import importlib
 import os
 import sys
 from difflib import get_close_matches
+from importlib.metadata import version
 
 # Before PyTorch starts its threads: waiting threads sleep instead of spinning. A step is many small operations, and
 # spinning threads slow a busy two-core machine down more than tenfold.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from qnerf import __version__
 from qnerf.cli.commands import ANALYSIS, COMMANDS, GROUPS
 from qnerf.cli.ends import OUTPUT_LOST, escape_unencodable, interruptible, output_lost, stoppable, stopped_code
 from qnerf.cli.errors import Parser, exit_code, report
@@ -42,7 +42,7 @@ def main() -> None:
     if command in ("-h", "--help", "help"):
         sys.exit(exit_code(lambda: print(usage())))
     elif command == "--version":
-        sys.exit(exit_code(lambda: print(f"qnerf {__version__}")))
+        sys.exit(exit_code(lambda: print(f"qnerf {version('qnerf')}")))
     elif command == "run":
         sys.argv = ["qnerf run", *arguments]
         run()

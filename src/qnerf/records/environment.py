@@ -12,7 +12,7 @@ from typing import Any
 from qnerf.config.identity import flatten
 
 PACKAGES = (
-    "torch", "numpy", "scipy", "pennylane", "pennylane-lightning", "numba", "llvmlite", "pandas", "pyarrow",
+    "qnerf", "torch", "numpy", "scipy", "pennylane", "pennylane-lightning", "numba", "llvmlite", "pandas", "pyarrow",
     "hydra-core", "omegaconf", "pyyaml", "scikit-image", "pillow",
 )  # fmt: skip
 VARIABLES = (
@@ -39,12 +39,10 @@ def capture(seed: int | None = None, root: Path | None = None) -> dict[str, Any]
     """
     import torch
 
-    from qnerf import __version__
-
     cuda = torch.cuda.is_available()
     return {
         "git": _git_state(root or checkout()),
-        "packages": {"qnerf": __version__} | {name: _version(name) for name in PACKAGES},
+        "packages": {name: _version(name) for name in PACKAGES},
         "torch": {
             "commit": torch.version.git_version,
             "build": [line.strip() for line in torch.__config__.show().splitlines()],
