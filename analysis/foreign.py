@@ -70,10 +70,14 @@ def read(
     columns = [column for column in columns if table[column].notna().any()]
     seed = seed or next((column for column in columns if _SEED.fullmatch(column)), None)
     scene = scene or next((column for column in SCENES if column in table), None)
+    copies = table.duplicated([column for column in table if column in columns or column == scene]) & bool(seed)
+    table = table[~copies].reset_index(drop=True)  # a run that counts twice would look like another seed
     others = [column for column in columns if column not in (seed, scene)]
     metrics = list(metrics or known or _metrics(table, others, settings, seed, scene))
     if not metrics:
-        raise ValueError(f"{name}: no number differs between runs of equal settings: name metrics, of {_list(others)}")
+        raise ValueError(
+            f"{name}: no number differs between runs of equal settings; --metrics names results, of {_list(others)}"
+        )
     if settings is None:
         others = [column for column in others if column not in metrics]
         told = {*_replicated(table, others, seed, scene), *table.select_dtypes("number").columns}
@@ -93,6 +97,7 @@ def read(
     text = "; ".join(f"{kind} {_list(names)}" for kind, names in said.items() if names)
     names = list(map(_plain, metrics))
     text += f"; metrics {_list(names)}"
+    text += f"; {copies.sum():,} repeated rows left out" * bool(copies.any())
     lower = [name for name in names if metric_of(name).sign < 0]
     print(f"{name}: {len(frame)} runs; {text}" + f" (less is better: {_list(lower)})" * bool(lower), file=sys.stderr)
     return frame.assign(path=[str(Path(name) / run) for run in frame["run_id"]], tags=None, note=None)

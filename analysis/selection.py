@@ -9,7 +9,7 @@ import pandas as pd
 
 from qnerf.metrics import COLORLESS, quality_metrics
 from qnerf.records.filters import check_column
-from qnerf.records.schemas import LABELS, RECORDED, is_option
+from qnerf.records.schemas import LABELS, RECORDED, is_option, is_own
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
@@ -120,8 +120,13 @@ def settings(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def main_metric(runs: pd.DataFrame) -> str:
-    """What verdicts are about unless a user says otherwise: PSNR, or the first quality that the runs have."""
-    return next((item.key for item in quality_metrics() if item.key in runs and runs[item.key].notna().any()), "psnr")
+    """What verdicts are about unless a user says otherwise: PSNR, or the first quality that the runs have.
+
+    Tracked runs without any have the first of their own results.
+    """
+    names = measured(runs)
+    own = [name for name in names if is_own(name)]
+    return next((name for name in (*(item.key for item in quality_metrics()), *own) if name in names), "psnr")
 
 
 def measured(runs: pd.DataFrame) -> list[str]:

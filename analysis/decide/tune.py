@@ -13,7 +13,6 @@ from qnerf.building.configuration import Configuration
 from qnerf.building.model import parameter_counts
 from qnerf.building.scene import prepare
 from qnerf.cli.compose import configuration
-from qnerf.cli.search import TRIALS
 from qnerf.config.settings import HEAD_GROUPS
 from qnerf.metrics import metric_of
 
@@ -124,6 +123,8 @@ def searched(
     record: Record, overrides: Sequence[str], space: dict[str, str], store: Path, foresee: Callable[[float], object]
 ) -> list[dict[str, Any]]:
     """The trials of one search, by the search of `qnerf run`; the store is its memory."""
+    from qnerf.cli.search import TRIALS  # needs Optuna, which only a search may ask for
+
     question = record.question
     folder = store / ".sweeps" / f"tune-{uuid.uuid4().hex[:12]}"
     started(

@@ -151,6 +151,6 @@ for _metric in (
     Metric("spread", "spread", on_request=True, explanation="of raw outputs over samples"),
     Metric("peak_memory_mb", "peak memory", "MB", 0, "lower", on_request=True),
     Metric("loss", "loss", "", 5, "lower", "loss", on_request=True),
-    Metric("mse", "mean squared colour error", "", 5, "lower", "loss", on_request=True),
+    Metric("mse", "mean squared error", "", 5, "lower", "loss", on_request=True),
 ):
     declare(_metric)

@@ -61,8 +61,14 @@ def test_columns_can_be_named(table, capsys):
     assert "val/acc" not in frame
     with pytest.raises(ValueError, match="no run has a column 'lr'"):
         load.runs(table, metrics=["lr"])
-    with pytest.raises(ValueError, match="no number differs between runs of equal settings"):
+    with pytest.raises(ValueError, match="no number differs between runs of equal settings; --metrics names results"):
         load.runs(table[["dataset", "model", "width", "my.seed"]])
+
+
+def test_a_run_that_is_listed_twice_counts_once(table, capsys):
+    again = table.iloc[:5].assign(Name=[f"copy {n}" for n in range(5)])
+    assert len(load.runs(pd.concat([table, again]))) == len(table)
+    assert "; metrics val/acc, val/loss, Runtime; 5 repeated rows left out (" in capsys.readouterr().err
 
 
 def test_a_table_goes_through_tables_figures_report_and_page(table, tmp_path, capsys):

@@ -80,6 +80,20 @@ MISTAKES = {
 }
 
 
+def test_every_command_has_a_help_without_the_extras() -> None:
+    code = """if True:
+        import sys
+        sys.modules.update(dict.fromkeys(["optuna", "pycolmap", "imageio_ffmpeg", "starlette", "uvicorn", "viser"]))
+        from qnerf.cli.main import COMMANDS, dispatch
+        for name in COMMANDS.keys() - {"run"}:
+            try:
+                sys.exit(f"{name}: {dispatch(name, ['--help'])}")
+            except SystemExit as end:
+                assert not end.code, end.code
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
 def test_a_mistake_is_one_line_with_exit_code_2(qnerf) -> None:
     for line, message in MISTAKES.items():
         done = qnerf(*line.split())

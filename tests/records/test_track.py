@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from qnerf.analysis import load
+from qnerf.analysis import load, selection
 from qnerf.analysis.figures import points
 from qnerf.analysis.report import content
 from qnerf.analysis.selection import row_keys
@@ -302,13 +302,15 @@ def test_numbers_may_be_numpy_s_and_pytorch_s_but_a_seed_is_whole(tmp_path: Path
 def test_a_run_says_who_it_is_and_what_to_type_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with qnerf.track({"seed": 0}, name="mine", store=tmp_path) as run:
         assert repr(run) == f"<tracked run {run.id}, step 0, in {tmp_path}>"
-        run.finish(accuracy=93.25, params={"total": 12})
-    assert capsys.readouterr().out == f"{run.id}: finished, accuracy 93.25; qnerf show {run.id} --store {tmp_path}\n"
+        run.finish(accuracy=93.25, mse=0.5, params={"total": 12})
+    results = "accuracy 93.25, mean squared error 0.50000"
+    assert capsys.readouterr().out == f"{run.id}: finished, {results}; qnerf show {run.id} --store {tmp_path}\n"
     assert main.dispatch("show", [run.id, "--store", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "0 steps  started" in said
-    assert "held out   accuracy 93.25" in said
+    assert "held out   accuracy 93.25   mean squared error 0.50000" in said
     assert "all       93.25" in said
+    assert selection.main_metric(load.runs(tmp_path)) == "accuracy"
 
 
 def test_what_the_machine_does_is_logged_if_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from qnerf.config.plugins import raised_in
 
 MAX_MESSAGE = 2000  # characters; a file can hold a name of a megabyte
 OWN_PACKAGES = ("qnerf",)
-EXTRAS = {"uvicorn": "serve", "starlette": "serve", "viser": "view"}
+EXTRAS = {"optuna": "search", "uvicorn": "serve", "starlette": "serve", "viser": "view"}
 """Module -> the extra that installs it."""
 
 

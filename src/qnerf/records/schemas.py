@@ -73,6 +73,11 @@ def known_kind(name: str) -> str | None:
     return "int" if name in NUMBERS else result_kind(name)
 
 
+def is_own(name: str) -> bool:
+    """Whether a result is one that only a tracked run has: nobody declared it, or it is a loss."""
+    return known_kind(name) is None or (name in METRICS and METRICS[name].kind == "loss")
+
+
 def check_result(name: str, config: Mapping[str, Any]) -> None:
     """ValueError if a result has the name of an option of the run, or of a column that says which run it is."""
     group, dot, _ = name.partition(".")

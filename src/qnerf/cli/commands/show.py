@@ -18,7 +18,7 @@ from qnerf.metrics import Metric, metric_of, quality_metrics
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.printable import printable
-from qnerf.records.schemas import known_kind
+from qnerf.records.schemas import is_own
 
 Run = dict[str, Any]
 """What `details.read` gives."""
@@ -109,9 +109,9 @@ def results(values: Mapping[str, Any], own: Sequence[Metric] = ()) -> Iterator[t
 
 
 def _own_metrics(values: Mapping[str, Any], config: Mapping[str, Any]) -> list[Metric]:
-    """The numbers of a tracked run that nobody declared. No result has the name of an option, or a dot."""
+    """The numbers of a tracked run that nobody declared, and losses. No result has the name of an option, or a dot."""
     options = flatten(config)
-    names = [key for key, value in values.items() if known_kind(key) is None and is_number(value)]
+    names = [key for key, value in values.items() if is_own(key) and is_number(value)]
     return [metric_of(name) for name in names if name not in options and "." not in name]
 
 
