@@ -53,7 +53,12 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     store = RunStore(tmp_path / "runs", every=60)
 
     def made(name: str, end: str = "finish", psnr: float = 20.0, field: str = "qcolor", **options: Any) -> Path:
-        columns = {"field": field, "encoder": "hash", "qiren": "1L2S", "scene": "poster"}
+        columns = {
+            "field": field,
+            "encoder": "hash",
+            "color": "3x64" if field == "classical" else "1L2S",
+            "scene": "poster",
+        }
         claim = store.claim(name, config(**options), ["seed=0", f"field={field}"], columns=columns)
         assert claim.run is not None
         write(claim.run, 40 if end == "finish" else 20, psnr)

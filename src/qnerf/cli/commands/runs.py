@@ -112,8 +112,9 @@ def counts(frame: pd.DataFrame, shown: int) -> str:
 
 
 def columns(rows: Sequence[Row], extra: Sequence[str] = ()) -> list[Column]:
-    """The usual columns and `extra`; tags and errors only if a run has some."""
-    usual = [*COLUMNS, *(_extra(name, rows) for name in extra)]
+    """The usual columns that some run fills, and `extra`; tags and errors only if a run has some."""
+    usual = [column for column in COLUMNS if any(column.cell(row) != "-" for row in rows)]
+    usual += [_extra(name, rows) for name in extra]
     if any(row.get("tags") for row in rows):
         usual.append(Column("tags", tags, rank=5, style=lambda row: "magenta"))
     if any(not missing(row.get("error")) for row in rows):
@@ -137,11 +138,6 @@ def steps(row: Row) -> str:
 
 def tags(row: Row) -> str:
     return ",".join(row.get("tags") or [])
-
-
-def qiren(row: Row) -> str:
-    """Layers and re-uploadings, if a head is a circuit."""
-    return "-" if row.get("field") == "classical" else _cell("qiren")(row)
 
 
 def _cell(name: str) -> Callable[[Row], str]:
@@ -171,7 +167,8 @@ COLUMNS = (
     Column("scene", _cell("scene_name"), rank=6),
     Column("field", _cell("field"), rank=1),
     Column("encoder", _cell("encoder"), rank=8),
-    Column("qiren", qiren, rank=3),
+    Column("density", _cell("density"), rank=3),
+    Column("color", _cell("color"), rank=3),
     Column("params", lambda row: count(row.get("params.total")), rank=7, right=True),
     Column("heads", _heads, rank=4, right=True),
     metric_column(METRICS["psnr"], style="bold"),
@@ -183,6 +180,6 @@ COLUMNS = (
 """`heads`: parameters of the heads, in which fields differ."""
 
 NEEDED = (
-    "run_id", "state", "error", "field", "encoder", "qiren", "params.total", *HEAD_PARAMETERS,
+    "run_id", "state", "error", "field", "encoder", "density", "color", "params.total", *HEAD_PARAMETERS,
     "psnr", "ssim", "scene_name", "step", "train.steps", "train_s", "created", "tags", "path",
 )  # fmt: skip
