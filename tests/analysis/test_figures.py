@@ -110,33 +110,6 @@ def test_scenes_are_never_averaged(every):
     ]
 
 
-@pytest.mark.parametrize(
-    ("draw", "key", "kept"),
-    [
-        (figures.psnr_vs_depth, "color.mlp.layers", {"color.mlp.width": 8, "hash": "C7"}),
-        (figures.psnr_vs_width, "color.mlp.width", {"color.mlp.layers": 2, "hash": "C7"}),
-    ],
-)
-def test_a_line_runs_over_depth_or_width_alone(frame, draw, key, kept):
-    ax = draw(frame).axes[0]
-    own = frame[frame["field"] == "classical"]
-    for name, value in kept.items():
-        own = own[own[name] == value]
-    groups = own.groupby(key)["psnr"]
-    (container,) = ax.containers
-    np.testing.assert_allclose(container[0].get_xdata(orig=False), groups.mean().index)
-    np.testing.assert_allclose(container[0].get_ydata(orig=False), groups.mean())
-    np.testing.assert_allclose(np.diff(bars(ax)).ravel(), 2 * groups.std())
-    assert container.get_label() == ("width 8" if key == "color.mlp.layers" else "2 layers")
-
-
-def test_a_measure_that_nothing_differs_in_is_a_mistake(frame):
-    with pytest.raises(ValueError, match=r"no two configurations differ in the width of the density head alone"):
-        figures.psnr_vs_width(frame, "density")
-    with pytest.raises(ValueError, match="expected depth or width"):
-        figures.shape_points(frame, "height")
-
-
 def test_loss_curves_are_geometric_means_over_seeds(frame):
     own = frame[(frame["color.mlp.layers"] == 3) & (frame["field"] == "classical")]
     table = figures.loss_points(own)

@@ -75,7 +75,7 @@ def test_the_wheel_holds_every_file_of_every_folder(wheel: Path) -> None:
     held = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == expected
     suffixes = {Path(name).suffix for name in held}
-    assert {".py", ".typed", ".yaml", ".csv", ".js", ".css", ".html", ".ipynb"} <= suffixes
+    assert {".py", ".typed", ".yaml", ".js", ".css", ".html", ".ipynb"} <= suffixes
 
 
 def test_an_unpacked_wheel_composes_a_configuration(wheel: Path, tmp_path: Path) -> None:
