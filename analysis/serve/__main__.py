@@ -66,13 +66,12 @@ def make(options: argparse.Namespace) -> tuple["uvicorn.Server", Guard]:
     import uvicorn
 
     from .app import application
-    from .prompt import Prompt
 
     columns = {name: getattr(options, name) for name in command.COLUMNS}
     answers = Answers(WatchedStore(options.store, **columns), options.title)
     guard = Guard(options.host)
     config = uvicorn.Config(
-        application(answers, guard), http=Prompt, log_level="error", access_log=False, ws="none",
+        application(answers, guard), log_level="error", access_log=False, ws="none",
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
     return uvicorn.Server(config), guard

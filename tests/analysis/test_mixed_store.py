@@ -61,7 +61,7 @@ def test_tracked_runs_stand_beside_the_others(mixed_store, capsys):
     assert "better *" in capsys.readouterr().out
     tables([str(mixed_store), *rows, "--metric", "accuracy", "--resources"])
     run = load.runs(mixed_store, "scene_name=digits")["path"].iloc[0]
-    for command in (["render"], ["export", "--to", "points"], ["probe", "units"], ["reproduce"]):
+    for command in (["render"], ["export"], ["probe", "units"], ["reproduce"]):
         assert dispatch(command[0], [run, *command[1:]]) == 2
         assert "was trained by a loop of its own" in capsys.readouterr().err
     frame = content.prepared(load.runs(mixed_store, "scene_name=digits"))

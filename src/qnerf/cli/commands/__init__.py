@@ -25,7 +25,7 @@ GROUPS = {
     "look at a trained model": {
         "render": "a video along a path of the camera",
         "view": "look around in the browser, also while it trains",
-        "export": "points or a mesh of a model",
+        "export": "points of a model's surfaces",
     },
     "organise runs": {
         "tag": "add or remove a run's tags, write its note",
