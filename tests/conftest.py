@@ -57,7 +57,6 @@ SLOW = (
     "numerics/test_losses_cases.py",
     "probes/",
     "records/test_index.py::test_store_that_changes",
-    "records/test_live_readers.py",
     "scenes/test_fingerprint.py",
     "scenes/test_sizes_and_masks.py::test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size",
     "signals/test_runs.py",

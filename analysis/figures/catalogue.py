@@ -35,13 +35,13 @@ class Entry:
     options: Mapping[str, str] = field(default_factory=dict)
     probe: str = ""
 
-    def draw(self, runs: pd.DataFrame, *, theme: str = "light", **judged: Any) -> Figure:
+    def draw(self, runs: pd.DataFrame, **judged: Any) -> Figure:
         """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
 
         judged: baseline, metric and within of `forest` and `stand_ins`, which other figures do not have; None: theirs.
         """
         given = judged if self.function in (forest, stand_ins) else {}
-        options = {"theme": theme} | {name: value for name, value in given.items() if value is not None}
+        options = {name: value for name, value in given.items() if value is not None}
         source = best_of(runs, self.probe) if self.probe else runs
         return self.function(source, **self.options, **options)
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Shows a store of runs on a page that follows it: runs appear and curves grow while they train. The page is the report
-with more in it: any metric with mean and band over seeds, differences from a baseline of your choice, tags and notes to
-edit. Only who has the printed address can open it. Needs the extra serve.
+with more in it: any metric with mean and band over seeds, differences from a baseline of your choice. Only
+who has the printed address can open it. Needs the extra serve.
 """
 EXAMPLES = """\
   {}

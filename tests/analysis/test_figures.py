@@ -229,14 +229,6 @@ def test_saved_files_hold_text_and_never_change(frame, tmp_path):
     assert b"/FontFile2" in (tmp_path / "first.pdf").read_bytes()
 
 
-def test_themes_differ_in_ink_and_paper(frame):
-    light, dark = (figures.capacity_vs_psnr(frame, theme=theme) for theme in ("light", "dark"))
-    assert light.get_facecolor() != dark.get_facecolor()
-    assert dark.axes[0].title.get_color() == dark.axes[0].texts[0].get_color() != light.axes[0].title.get_color()
-    with pytest.raises(ValueError, match="unknown theme 'sepia'; known: light, dark"):
-        figures.capacity_vs_psnr(frame, theme="sepia")
-
-
 def test_a_short_logarithmic_axis_has_ticks_at_equal_steps():
     ax = style.new(style.COLUMN, 2).subplots()
     ax.set(xscale="log", xlim=(800, 1400))
