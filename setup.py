@@ -15,7 +15,6 @@ setup(
         "qnerf.conf": ["*.yaml", "*/*.yaml", "*/*/*.yaml"],
         "qnerf.sweeps": ["*.yaml"],
         "qnerf.analysis": [
-            "paper/*.csv",
             *(f"report/*.{kind}" for kind in ("css", "html", "js")),
             "serve/*.js",
             "notebooks/*.ipynb",

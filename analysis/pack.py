@@ -10,7 +10,6 @@ from qnerf.records.location import store_folder
 from qnerf.records.printable import printable
 
 from . import command, load, output, packed
-from .predictions import write_predictions
 
 DESCRIPTION = """\
 Packs the runs of a store into small tables: runs.parquet, views.parquet, and for probed runs units.parquet,
@@ -24,11 +23,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command.add_runs(parser)
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the tables go; earlier ones are replaced")
     parser.add_argument("--add", action="store_true", help="keep the other runs that FOLDER has")
-    parser.add_argument(
-        "--predictions",
-        action="store_true",
-        help="also held-out views as nerfbaselines evaluates them, predictions/RUN",
-    )
     options = parser.parse_args(arguments)
     if options.folder.resolve() == store_folder(options.store).resolve():
         raise ValueError(f"{options.folder}: expected a folder of its own, this is one of runs")
@@ -43,8 +37,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for problem in problems:
         print(f"left out: {printable(problem)}", file=sys.stderr)
     print(f"{finished} runs{f' finished, {unfinished} not' if unfinished else ''}, in {options.folder}")
-    if options.predictions:
-        print(*write_predictions(frame[frame["state"] == "finished"], options.folder / "predictions"))
 
 
 def with_earlier(frame: pd.DataFrame, folder: Path) -> pd.DataFrame:

@@ -47,7 +47,16 @@ SHADES = (("text.color", 0.0), ("text.color", 0.5), ("axes.facecolor", 0.45), ("
 HEADS = {"color": "colour head", "density": "density head"}
 FORMATS = ("png", "svg", "pdf")
 
-_BASE: dict[str, Any] = {
+_INKED = (
+    "text.color",
+    "axes.labelcolor",
+    "axes.edgecolor",
+    "axes.titlecolor",
+    "xtick.color",
+    "ytick.color",
+    "grid.color",
+)
+_BASE: dict[str, Any] = dict.fromkeys(_INKED, "#1a1a1a") | {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "sans-serif"],
     "font.size": 8,
@@ -80,25 +89,14 @@ _BASE: dict[str, Any] = {
     "pdf.fonttype": 42,
 }
 _UNNAMED = re.compile(r"_(child|container)\d+|_nolegend_")  # matplotlib's own labels
-_INK = {"light": ("#1a1a1a", "#ffffff"), "dark": ("#e6e6e6", "#16181d")}
-_INKED = ("text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor", "xtick.color", "ytick.color")
-_PAPER = ("figure.facecolor", "axes.facecolor", "savefig.facecolor", "legend.facecolor")
-
-
-def settings(theme: str = "light") -> dict[str, Any]:
-    """Matplotlib's parameters for a theme, light or dark. Raises ValueError for any other name."""
-    if theme not in _INK:
-        raise ValueError(f"unknown theme {theme!r}; known: {', '.join(_INK)}")
-    ink, paper = _INK[theme]
-    return _BASE | dict.fromkeys(_INKED, ink) | dict.fromkeys(_PAPER, paper) | {"grid.color": ink}
 
 
 def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """Gives a figure function the option `theme`, light or dark, and shields it from the caller's own rcParams."""
+    """Draws a figure with these parameters, whatever the caller's own rcParams."""
 
     @functools.wraps(draw)
-    def drawn(*arguments: Any, theme: str = "light", **options: Any) -> Figure:
-        parameters: dict[Any, Any] = mpl.rcParamsDefault | settings(theme)
+    def drawn(*arguments: Any, **options: Any) -> Figure:
+        parameters: dict[Any, Any] = mpl.rcParamsDefault | _BASE
         with mpl.rc_context(parameters):
             figure = draw(*arguments, **options)
             make_plain(figure)
@@ -128,7 +126,7 @@ def _texts(artist: Artist) -> Iterator[Text]:
 
 
 def ink() -> str:
-    """The text colour of the current theme."""
+    """The colour of texts and outlines."""
     return str(mpl.rcParams["text.color"])
 
 
@@ -173,7 +171,7 @@ def looks(fields: Iterable[str]) -> list[dict[str, Any]]:
 
 
 def mixed(color: str, other: str, part: float) -> str:
-    """A colour with a part, 0 to 1, of a colour of the theme (`axes.facecolor`, `text.color`)."""
+    """A colour with a part, 0 to 1, of another, `axes.facecolor` or `text.color`."""
     return to_hex((1 - part) * np.array(to_rgb(color)) + part * np.array(to_rgb(mpl.rcParams[other])))
 
 

@@ -50,7 +50,7 @@ def test_a_command_with_a_mistake_is_found():
         "qnerf runs --nonsense",
         "qnerf show --config",
         "qnerf tables runs --rowz field",
-        "qnerf figures runs --theme grey",
+        "qnerf figures runs --themes grey",
         "python -m benchmarks.nonsense",
         "python -m benchmarks.training --rounds many",
         'pip install "qnerf[nonsense]"',

@@ -180,29 +180,20 @@ def test_a_run_says_where_its_world_is(tiny):
     torch.testing.assert_close(stored[:, :3] @ stored[:, :3].T, torch.eye(3, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("stop_at", [1, 5])
-def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path, stop_at):
-    """Also its occupancy, after a look, and the step at which it no longer gains."""
+def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path):
+    """Also the step at which it no longer gains."""
     options = ["field=qboth", "qiren.qubits=2", "cameras=so3xr3", "appearance=2", "train.steps=12"]
-    options += [
-        "train.eval_every=2",
-        "visibility.resolution=8",
-        "occupancy.every=2",
-        "occupancy.after=3",
-        "occupancy.min_opacity=0.9",
-    ]
+    options += ["train.eval_every=2"]
     options += ["stop.every=2", "stop.share=0.1", "stop.rays=9", "stop.patience=2", "stop.min_gain_db=50"]
     options += ["train.cooldown=1"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
-    interrupted(parts, stop_at + 1)
+    interrupted(parts, 6)
     torch.rand(3)  # whatever the process did in between
     resumed = run(parts)
 
     assert (resumed.state, resumed.summary["steps"], resumed.summary["stopped"]) == ("finished", 6, "plateau")
     mine, others = parameters(resumed.path), parameters(whole.path)
-    assert float(others["field.mask.opacity"].max()) > 0
-    assert not bool(others["field.mask.grid"].all())
     assert mine.keys() == others.keys()
     assert all(torch.equal(mine[name], others[name]) for name in mine)
     pd.testing.assert_frame_equal(logged(resumed.path), logged(whole.path))

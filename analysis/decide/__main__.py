@@ -36,7 +36,7 @@ scenes. The record stays in the store; `qnerf report` and `qnerf serve` show it.
 """
 EXAMPLES = """\
   {} field=classical field=qcolor --within 0.5 --budget 2h
-  {} field=classical field=qcolor --all "train.steps=500 hydra/launcher=joblib"
+  {} field=classical field=qcolor --all "train.steps=500 threads=1"
   {} density=mlp density=amplitude density=qiren --scene "scene=nerfstudio scene.path=FOX" --scene scene=poster
   {} field=classical field=qcolor --equal time
   {} "python train.py --model a" "python train.py --model b" --metric accuracy --within 0.01

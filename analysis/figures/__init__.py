@@ -14,8 +14,6 @@ from .forest import forest
 from .pareto import front, speed_points, speed_vs_error
 from .probed import best_of
 from .qualitative import qualitative_grid, qualitative_panels, typical
-from .sampling import ray_samples, sampling_strategies
-from .shape import psnr_vs_depth, psnr_vs_width, shape_points
 from .shots_and_noise import hardware_points, psnr_vs_noise, psnr_vs_shots
 from .spectrum import fourier_spectrum, spectrum_points
 from .stand_ins import cheapest, stand_in_points, stand_ins

@@ -21,7 +21,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="figures to draw (default: all that the runs allow)")
     parser.add_argument("--out", default="figures", metavar="DIR", help="where to write (default: %(default)s)")
     parser.add_argument("--formats", default=",".join(FORMATS), metavar="png,svg,pdf")
-    parser.add_argument("--theme", default="light", choices=["light", "dark"])
     command.add_baseline(
         parser,
         "what forest compares with (default: the classical configuration) and stand_ins (default: the QIREN head)",
@@ -29,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command.add_judged(parser)
     options = parser.parse_intermixed_args(arguments)
     check_names(options.names)
-    look = {name: getattr(options, name) for name in ("theme", "baseline", "metric", "within")}
+    look = {name: getattr(options, name) for name in ("baseline", "metric", "within")}
     draw(command.chosen(options), options.names, Path(options.out), options.formats.split(","), **look)
 
 

@@ -16,8 +16,6 @@ from .forest import forest
 from .pareto import speed_vs_error
 from .probed import best_of
 from .qualitative import qualitative_grid
-from .sampling import sampling_strategies
-from .shape import psnr_vs_depth, psnr_vs_width
 from .shots_and_noise import psnr_vs_noise, psnr_vs_shots
 from .spectrum import fourier_spectrum
 from .stand_ins import stand_ins
@@ -37,13 +35,13 @@ class Entry:
     options: Mapping[str, str] = field(default_factory=dict)
     probe: str = ""
 
-    def draw(self, runs: pd.DataFrame, *, theme: str = "light", **judged: Any) -> Figure:
+    def draw(self, runs: pd.DataFrame, **judged: Any) -> Figure:
         """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
 
         judged: baseline, metric and within of `forest` and `stand_ins`, which other figures do not have; None: theirs.
         """
         given = judged if self.function in (forest, stand_ins) else {}
-        options = {"theme": theme} | {name: value for name, value in given.items() if value is not None}
+        options = {name: value for name, value in given.items() if value is not None}
         source = best_of(runs, self.probe) if self.probe else runs
         return self.function(source, **self.options, **options)
 
@@ -60,16 +58,12 @@ FIGURES = {
     "capacity": Entry("PSNR against the parameters of both heads, coloured by SSIM", capacity_vs_psnr),
     "capacity_color": Entry("PSNR against the parameters of the colour head", capacity_vs_psnr, _COLOR),
     "capacity_density": Entry("PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY),
-    "depth": Entry("PSNR against the depth of the colour head", psnr_vs_depth),
-    "width": Entry("PSNR against the width of the colour head", psnr_vs_width),
-    "density_width": Entry("PSNR against the width of the density head", psnr_vs_width, {"head": "density"}),
     "loss": Entry("Loss in training and on held-out views", loss_curves),
     "time": Entry("PSNR against the time of whole trainings", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
     "forest": Entry("Differences from the baseline, scene by scene", forest),
     "stand_ins": Entry("A circuit head and its stand-ins, with verdicts", stand_ins),
     "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid),
-    "sampling": Entry("Sampling strategies along a ray", sampling_strategies, probe="rays"),
     "encodings": Entry("First eight channels of each encoding", encoding_channels, probe="encoding"),
     "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, probe="spectrum"),
     "shots": Entry("PSNR against shots", psnr_vs_shots),

@@ -47,12 +47,10 @@ def families(table: pd.DataFrame, runs: pd.DataFrame, x: str, ignored: Sequence[
     return table[table.groupby("family")[x].transform("nunique") > 1].reset_index(drop=True)
 
 
-def family_names(
-    table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str], always: Sequence[str] = ()
-) -> pd.Series:
+def family_names(table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str]) -> pd.Series:
     """The name of each row's family, as `names` gives it to the family's first row."""
     firsts = table.drop_duplicates("family")
-    texts = names(firsts, runs, ignored=ignored, always=always)
+    texts = names(firsts, runs, ignored=ignored)
     return table["family"].map(dict(zip(firsts["family"], texts, strict=True)))
 
 

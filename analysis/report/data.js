@@ -14,7 +14,6 @@ const column = (name) => columns.get(name) ?? new Array(DATA.total).fill(null);
 const value = (name, run) => columns.get(name)?.[run] ?? null;
 const numeric = new Map(); // column -> whether it has numbers, as far as it was asked
 let told = null; // the columns of `telling`, once they were asked for
-const gone = new Set(); // runs that were deleted since the page was opened
 
 function isNumeric(name) {
   if (!numeric.has(name)) numeric.set(name, column(name).some((v) => typeof v === "number"));

@@ -33,7 +33,6 @@ async function fillDetail(run) {
   const results = [...columns.keys()].filter((name) => !DATA.settings.includes(name) && !HIDDEN.includes(name));
   $("detail-body").replaceChildren(
     element("div", { class: "controls" }, add),
-    ...(source.editor ? [source.editor(run)] : []),
     pairs(["state", "error", "tags", "note", "version", "path"].filter((name) => value(name, run) !== null), run),
     element("h3", {}, "Results"), pairs(results.filter((name) => value(name, run) !== null), run),
     element("h3", {}, "Held-out views"), element("div", { id: "detail-views" }),

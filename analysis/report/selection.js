@@ -37,7 +37,7 @@ function select() {
   }
   selection.runs = [...Array(DATA.total).keys()].filter(
     (run) =>
-      !gone.has(run) && (!state || value("state", run) === state) && (!scene || value("scene_name", run) === scene) && meets(run),
+      (!state || value("state", run) === state) && (!scene || value("scene_name", run) === scene) && meets(run),
   );
   sort();
 }

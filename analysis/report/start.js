@@ -26,7 +26,6 @@ document.addEventListener("click", ({ target }) => {
 });
 for (const link of document.querySelectorAll("nav a")) link.addEventListener("click", (event) => event.preventDefault());
 
-source.prepare?.();
 plotly = new Promise((resolve) => { setTimeout(resolve); }).then(source.plotly); // the table comes first
 startTable();
 startSelection();

@@ -37,7 +37,7 @@ function drawTable() {
   const count = selection.runs.length.toLocaleString("en");
   $("page-status").textContent = visible.length
     ? `${(from + 1).toLocaleString("en")}–${(from + visible.length).toLocaleString("en")} of ${count} selected`
-    : DATA.total > gone.size ? `no run matches; there are ${(DATA.total - gone.size).toLocaleString("en")}` : "no runs yet";
+    : DATA.total ? `no run matches; there are ${DATA.total.toLocaleString("en")}` : "no runs yet";
 }
 
 /** A selector for what has the focus in the table: a row that is drawn anew keeps it. */

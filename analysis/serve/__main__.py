@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Shows a store of runs on a page that follows it: runs appear and curves grow while they train. The page is the report
-with more in it: any metric with mean and band over seeds, differences from a baseline of your choice, tags and notes to
-edit. Only who has the printed address can open it. Needs the extra serve.
+with more in it: any metric with mean and band over seeds, differences from a baseline of your choice. Only
+who has the printed address can open it. Needs the extra serve.
 """
 EXAMPLES = """\
   {}
@@ -66,13 +66,12 @@ def make(options: argparse.Namespace) -> tuple["uvicorn.Server", Guard]:
     import uvicorn
 
     from .app import application
-    from .prompt import Prompt
 
     columns = {name: getattr(options, name) for name in command.COLUMNS}
     answers = Answers(WatchedStore(options.store, **columns), options.title)
     guard = Guard(options.host)
     config = uvicorn.Config(
-        application(answers, guard), http=Prompt, log_level="error", access_log=False, ws="none",
+        application(answers, guard), log_level="error", access_log=False, ws="none",
         timeout_graceful_shutdown=1, lifespan="off", server_header=False,
     )  # fmt: skip
     return uvicorn.Server(config), guard

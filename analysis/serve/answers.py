@@ -45,8 +45,6 @@ class Answers:
     def page(self) -> dict[str, Any]:
         """The values of the page's template."""
         version, frame = self.store.frame()
-        if frame.empty:
-            frame = pd.DataFrame({name: [] for name in ("run_id", "state", "scene_name", "psnr")})
         return {
             "live": True,
             "title": self._title,
@@ -55,20 +53,20 @@ class Answers:
             "sections": SECTIONS,
             "verdicts": verdicts(frame) if len(frame) else None,
             "decisions": decisions(self.store.folder),
-            "data": content.data(frame, Pictures(), {}) | {"version": f"{self._boot}-{version}"},
+            "data": _data(frame) | {"version": f"{self._boot}-{version}"},
         }
 
     def changes(self, since: str) -> dict[str, Any]:
-        """What a page of version `since` does not know: changed rows, removed runs.
+        """The table of runs as it is now, unless a page of version `since` has it.
 
         {"reload": true} where the version is of an earlier server.
         """
-        boot, _, number = since.rpartition("-")
-        if boot != self._boot or not number.isdecimal():
+        if since.partition("-")[0] != self._boot:
             return {"reload": True}
-        version, changed = self.store.changes(int(number))
-        rows = {run: row for run, row in changed.items() if row is not None}
-        return {"version": f"{self._boot}-{version}", "rows": rows, "removed": sorted(changed.keys() - rows.keys())}
+        if since == f"{self._boot}-{self.store.version()}":
+            return {"version": since}
+        version, frame = self.store.frame()
+        return {"version": f"{self._boot}-{version}", "data": _data(frame)}
 
     def keys(self, runs: Iterable[str]) -> dict[str, str]:
         """What any of these runs has logged: key -> heading."""
@@ -136,6 +134,13 @@ class Answers:
         except OSError:
             return {}
         return _curves(folder, stamp)
+
+
+def _data(frame: pd.DataFrame) -> dict[str, Any]:
+    """What the page's script reads of the runs."""
+    if frame.empty:
+        frame = pd.DataFrame({name: [] for name in ("run_id", "state", "scene_name", "psnr")})
+    return content.data(frame, Pictures(), {})
 
 
 SECTIONS = (

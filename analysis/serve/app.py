@@ -1,10 +1,9 @@
 """What the live page asks for: the page, what changed, curves, pictures, tables of differences; and who may ask.
 
-Everything but tags and notes is only read. Who may ask is as for the viewer (`qnerf.viewing.guard`).
+Everything is only read. Who may ask is as for the viewer (`qnerf.viewing.guard`).
 """
 
 import asyncio
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.middleware.gzip import GZipMiddleware
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from qnerf.records import annotations
-from qnerf.records.files import one_line, parse_json
+from qnerf.records.files import one_line
 from qnerf.viewing.guard import Guard
 
 from ..report import page
@@ -27,7 +25,6 @@ from .answers import Answers
 
 HERE = Path(__file__).parent
 COOKIE = "qnerf_token"
-MAX_BODY = 100_000  # bytes that a note and tags may take
 OWN = ("live", "differences")
 SCRIPTS = ("data", "live", *page.SHARED, "differences", "start")
 HEADERS = {
@@ -89,17 +86,10 @@ def application(answers: Answers, guard: Guard) -> Starlette:
         async with turn:
             return HTMLResponse(await run_in_threadpool(lambda: page.table(answers.differences(*asked))))
 
-    async def annotate(request: Request) -> Response:
-        wanted = parse_json(await _body(request))
-        run = answers.store.path(request.query_params["run"])
-        written = await run_in_threadpool(_annotate, run, wanted)
-        return JSONResponse({"tags": written.tags, "note": written.note})
-
     routes = [
         Route("/", home),
         *(Route(f"/{name}", file) for name in files),
         *(Route(f"/{make.__name__}", make) for make in (changes, curves, keys, views, picture, differences)),
-        Route("/annotate", annotate, methods=["POST"]),
     ]
 
     async def guarded(request: Request, answer: RequestResponseEndpoint) -> Response:
@@ -113,35 +103,13 @@ def application(answers: Answers, guard: Guard) -> Starlette:
         Middleware(BaseHTTPMiddleware, dispatch=guarded),
         Middleware(GZipMiddleware, minimum_size=2000, compresslevel=1),
     ]
-    refusals: dict[Any, Any] = dict.fromkeys((KeyError, ValueError, OSError, ClientDisconnect), _refusal)
+    refusals: dict[Any, Any] = dict.fromkeys((KeyError, ValueError, OSError), _refusal)
     return Starlette(routes=routes, middleware=middleware, exception_handlers=refusals)
 
 
 def _refusal(_: Request, error: Exception) -> Response:
     """One line for what was asked wrongly, or what a run lacks."""
     return PlainTextResponse(f"expected {error}" if isinstance(error, KeyError) else one_line(error), 400)
-
-
-async def _body(request: Request) -> bytes:
-    body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > MAX_BODY:
-            raise ValueError(f"expected at most {MAX_BODY:,} bytes")
-    return body
-
-
-def _annotate(run: Path, wanted: Mapping[str, Any]) -> annotations.Annotations:
-    """Changes tags and note: `{"add": [texts], "remove": [texts], "note": text}`, each of them optional."""
-    add, remove, note = wanted.get("add", []), wanted.get("remove", []), wanted.get("note")
-    texts = [*add, *remove] if isinstance(add, list) and isinstance(remove, list) else [None]
-    if not all(isinstance(text, str) for text in texts) or not isinstance(note, (str, type(None))):
-        raise ValueError("expected texts in add, remove and note")
-    if add or remove:
-        annotations.change_tags(run, add, remove)
-    if note is not None:
-        annotations.write_note(run, note.strip())
-    return annotations.read(run)
 
 
 def _with_cookie(request: Request, token: str) -> Response:

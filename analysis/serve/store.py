@@ -1,7 +1,6 @@
-"""A store that is read again while runs train: which runs changed since a reader last asked.
+"""A store that is read again while runs train, and a number that grows when it has changed.
 
-A look at the store lists the stamps of all runs' files, and reads the runs whose stamps differ. Nobody looks unless a
-page asks.
+A look at the store lists the stamps of all runs' files. Nobody looks unless a page asks.
 """
 
 import threading
@@ -11,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from qnerf.records import index
+from qnerf.records import index, state
 from qnerf.records.deletion import holds_runs
 from qnerf.records.index import Stamps
 from qnerf.records.location import existing_store
@@ -19,10 +18,7 @@ from qnerf.records.location import existing_store
 from .. import foreign, packed
 from ..load import with_needed
 from ..report import content
-from ..report.columns import plain
 
-Row = dict[str, Any]
-"""The values of a run by column."""
 FRESH = 0.5
 """Seconds for which a look at the store is good enough for the next question."""
 
@@ -43,31 +39,31 @@ class WatchedStore:
         if packed.is_packed(self.folder) and not holds_runs(self.folder):
             raise ValueError(f"{store}: holds packed runs, which do not change; `qnerf report {store}` shows them")
         self._lock = threading.Lock()
-        self._watch = index.Watch(self.folder)
         self._stamps = self._scan()
-        frame = self._load()
-        self._rows: dict[str, tuple[int, Row | None]] = {}  # version of a run's last change, and its row
         self._version = 0
         self._looked = time.monotonic()
-        self._alive = set(frame.loc[frame["state"] == "running", "run_id"]) if len(frame) else set()
+        self._running: set[str] = set()  # runs that trained when the table was read
 
-    def changes(self, since: int) -> tuple[int, dict[str, Row | None]]:
-        """The version, and the runs that changed after `since`, each with its whole row; None: it is gone."""
+    def version(self) -> int:
+        """Grows with every change of the runs: of their files, and of the state of one whose process has died."""
         with self._lock:
-            self._look()
-            return self._version, {run: row for run, (version, row) in self._rows.items() if version > since}
+            if time.monotonic() - self._looked >= FRESH:
+                stamps, before = self._scan(), self._stamps
+                died = not self._foreign and any(state(self.folder / run) != "running" for run in self._running)
+                self._version += stamps != before or died
+                self._stamps, self._looked = stamps, time.monotonic()
+            return self._version
 
     def frame(self) -> tuple[int, pd.DataFrame]:
         """The version, and the table of all runs as `load.runs` gives it, with the names of their configurations.
 
         An empty store gives an empty table.
         """
-        with self._lock:
-            self._look()
-            version = self._version
+        version = self.version()
         frame = self._load()
         if frame.empty:
             return version, frame
+        self._running = set(frame.loc[frame["state"] == "running", "run_id"])
         return version, content.named(content.described(with_needed(frame)))
 
     def path(self, run: str) -> Path:
@@ -88,30 +84,4 @@ class WatchedStore:
         """The stamps of all runs; a table of another program changes as a whole."""
         if self._foreign:
             return dict.fromkeys(self._load()["run_id"], str(self.folder.stat().st_mtime_ns))
-        return self._watch.scan() if self.folder.is_dir() else {}
-
-    def _look(self) -> None:
-        """Reads what has changed, unless somebody did so within `FRESH` seconds."""
-        if time.monotonic() - self._looked < FRESH:
-            return
-        stamps = self._scan()
-        changed = [run for run, stamp in stamps.items() if self._stamps.get(run) != stamp or run in self._alive]
-        rows = self._read(changed) | dict.fromkeys(self._stamps.keys() - stamps.keys())
-        self._stamps, self._looked = stamps, time.monotonic()
-        different = {run: row for run, row in rows.items() if run not in self._rows or self._rows[run][1] != row}
-        if different:
-            self._version += 1
-            self._rows |= {run: (self._version, row) for run, row in different.items()}
-            running = {run for run, row in different.items() if row is not None and row.get("state") == "running"}
-            self._alive = self._alive - different.keys() | running
-
-    def _read(self, runs: list[str]) -> dict[str, Row | None]:
-        if not runs:
-            return {}
-        found = self._load() if self._foreign else index.load_runs(self.folder, runs)
-        shown = content.described(with_needed(found[found["run_id"].isin(runs)]))
-        rows: dict[str, Row | None] = {}
-        for record in shown.drop(columns=["store", "scene"], errors="ignore").to_dict("records"):
-            row = {str(name): plain(value) for name, value in record.items()}
-            rows[record["run_id"]] = {name: value for name, value in row.items() if value is not None}
-        return rows
+        return index.scan(self.folder) if self.folder.is_dir() else {}

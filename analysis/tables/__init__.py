@@ -3,7 +3,6 @@
 from .ablation import ablation
 from .resources import resources
 from .scenes import across_scenes
-from .smallest import smallest
 from .stability import stability
 from .table import Table
 from .units import units

@@ -8,12 +8,10 @@ from qnerf.metrics import METRICS
 from qnerf.records import filters
 
 from .. import command
-from ..paper import PAPER_TABLES
 from ..selection import main_metric, row_keys, select
 from .ablation import ablation
 from .resources import RATE, resources
 from .scenes import across_scenes
-from .smallest import smallest
 from .stability import stability
 from .table import Table
 from .units import units
@@ -28,16 +26,13 @@ EXAMPLES = """\
   {} runs --rows field,qiren --filter scene_name=poster
   {} runs --rows scene_name,field --baseline field=classical --format latex
   {} runs --rows scene_name,field --baseline field=classical --across-scenes
-  {} runs --rows field,hash --smallest --within 0.5 --size step_ms
   {} runs --rows scene_name,field --stability
   {} runs --rows scene_name,field --baseline field=classical --resources --rate 1000 --format latex
-  {} runs --paper rgb --filter scene_name=poster
   {} results.csv --baseline model=forest --within 0.01
 """
 
-OPTIONS = ("values", "metric", "baseline", "within", "size", "rate")
+OPTIONS = ("values", "metric", "baseline", "within", "rate")
 INSTEAD: dict[str, tuple[Callable[..., Table], str]] = {
-    "smallest": (smallest, "the smallest row within the tolerance of the best"),
     "across-scenes": (
         across_scenes,
         "differences from --baseline on each scene, and over these scenes and scenes like them",
@@ -81,7 +76,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "equivalent or undecided",
     )
     command.add_judged(parser)
-    parser.add_argument("--size", help="for --smallest: the column to minimise, such as step_ms; default: params.total")
     parser.add_argument(
         "--rate",
         type=number(0, 1e12, above=True),
@@ -90,12 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tables = parser.add_mutually_exclusive_group()
     for name, (make, what) in INSTEAD.items():
         tables.add_argument(f"--{name}", action="store_const", dest="make", const=make, help=f"instead: {what}")
-    titles = "; ".join(f"{key}: {title}" for key, (title, _) in PAPER_TABLES.items())
-    tables.add_argument(
-        "--paper", choices=PAPER_TABLES, help=f"instead: a table of the paper with ours beside it. {titles}"
-    )
     options = parser.parse_args(arguments)
-    make = PAPER_TABLES[options.paper][1] if options.paper else options.make or ablation
+    make = options.make or ablation
     known = signature(make).parameters
     given = {name: value for name in OPTIONS if (value := getattr(options, name)) is not None}
     if unused := [f"--{name}" for name in given if name not in known]:

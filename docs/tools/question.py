@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
-from qnerf.analysis.paper import PAPER_TABLES
 from qnerf.analysis.tables import Table, ablation, resources, units
 
+from docs.tools.paper.tables import PAPER_TABLES
 from qnerf.metrics import metric_of
 
 
@@ -67,9 +67,9 @@ class Question:
 
     def table_command(self, name: str) -> str:
         """The command that makes its table from the packed runs in docs/results/`name`."""
-        command = f"qnerf tables docs/results/{name}"
         if self.paper:
-            return f"{command} --paper {self.paper}"
+            return f"python -m docs.tools.paper {self.paper} docs/results/{name}"
+        command = f"qnerf tables docs/results/{name}"
         command += f" --rows {','.join(self.rows)}" + " --units" * self.units + " --resources" * self.hardware
         if self.metric != "psnr":
             command += f" --metric {self.metric} --values {','.join((self.metric, *self.values))}"

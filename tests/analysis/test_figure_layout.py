@@ -20,8 +20,6 @@ PACKS = {
     "capacity": "seeds",
     "capacity_color": "small_heads",
     "capacity_density": "pe_widths",
-    "depth": "rgb_table",
-    "width": "rgb_table",
     "speed": "rgb_table",
     "shots": "shots",
     "noise": "noise",

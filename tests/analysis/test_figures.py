@@ -19,7 +19,6 @@ from tests.helpers.scenes import write_scene
 SMALL = (*TINY, "train.steps=4", "train.rays=8", "train.eval_every=2", "train.log_every=1", "device=cpu")
 GRID = (
     *(("field=classical", f"color.mlp.layers={layers}", "color.mlp.width=8", "hash=C7") for layers in (2, 3)),
-    ("field=classical", "color.mlp.layers=2", "color.mlp.width=4", "hash=C7"),
     ("field=classical", "color.mlp.layers=2", "color.mlp.width=8", "hash=C6"),
     ("field=qcolor", "qiren=1L1S", "qiren.qubits=2", "hash=C7"),
     ("field=qcolor", "qiren=2L1S", "qiren.qubits=2", "hash=C7"),
@@ -28,7 +27,7 @@ GRID = (
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
-    """Six configurations, two seeds each, and the first ones of another scene with one seed."""
+    """Five configurations, two seeds each, and the first ones of another scene with one seed."""
     folder = tmp_path_factory.mktemp("figures")
     scenes = [f"scene.path={write_scene(folder / name, width=width)}" for name, width in (("hall", 6), ("yard", 7))]
     for overrides in GRID:
@@ -110,33 +109,6 @@ def test_scenes_are_never_averaged(every):
     ]
 
 
-@pytest.mark.parametrize(
-    ("draw", "key", "kept"),
-    [
-        (figures.psnr_vs_depth, "color.mlp.layers", {"color.mlp.width": 8, "hash": "C7"}),
-        (figures.psnr_vs_width, "color.mlp.width", {"color.mlp.layers": 2, "hash": "C7"}),
-    ],
-)
-def test_a_line_runs_over_depth_or_width_alone(frame, draw, key, kept):
-    ax = draw(frame).axes[0]
-    own = frame[frame["field"] == "classical"]
-    for name, value in kept.items():
-        own = own[own[name] == value]
-    groups = own.groupby(key)["psnr"]
-    (container,) = ax.containers
-    np.testing.assert_allclose(container[0].get_xdata(orig=False), groups.mean().index)
-    np.testing.assert_allclose(container[0].get_ydata(orig=False), groups.mean())
-    np.testing.assert_allclose(np.diff(bars(ax)).ravel(), 2 * groups.std())
-    assert container.get_label() == ("width 8" if key == "color.mlp.layers" else "2 layers")
-
-
-def test_a_measure_that_nothing_differs_in_is_a_mistake(frame):
-    with pytest.raises(ValueError, match=r"no two configurations differ in the width of the density head alone"):
-        figures.psnr_vs_width(frame, "density")
-    with pytest.raises(ValueError, match="expected depth or width"):
-        figures.shape_points(frame, "height")
-
-
 def test_loss_curves_are_geometric_means_over_seeds(frame):
     own = frame[(frame["color.mlp.layers"] == 3) & (frame["field"] == "classical")]
     table = figures.loss_points(own)
@@ -192,7 +164,7 @@ def test_configurations_beyond_the_best_are_told(frame):
     best = frame.groupby(["field", "color", "hash"])["psnr"].mean().nlargest(2)
     drawn = [line.get_ydata()[-1] for line in figure.axes[0].lines if line.get_linestyle() == "--"]
     np.testing.assert_allclose(-10 * np.log10(drawn), best)
-    assert "not drawn: 4 configurations of lower PSNR" in footnote(figure)
+    assert "not drawn: 3 configurations of lower PSNR" in footnote(figure)
 
 
 def test_the_pareto_front_is_drawn_and_named(frame):
@@ -254,14 +226,6 @@ def test_saved_files_hold_text_and_never_change(frame, tmp_path):
         assert first == second
     assert ">C7 2x8</text>" in (tmp_path / "first.svg").read_text()
     assert b"/FontFile2" in (tmp_path / "first.pdf").read_bytes()
-
-
-def test_themes_differ_in_ink_and_paper(frame):
-    light, dark = (figures.capacity_vs_psnr(frame, theme=theme) for theme in ("light", "dark"))
-    assert light.get_facecolor() != dark.get_facecolor()
-    assert dark.axes[0].title.get_color() == dark.axes[0].texts[0].get_color() != light.axes[0].title.get_color()
-    with pytest.raises(ValueError, match="unknown theme 'sepia'; known: light, dark"):
-        figures.capacity_vs_psnr(frame, theme="sepia")
 
 
 def test_a_short_logarithmic_axis_has_ticks_at_equal_steps():

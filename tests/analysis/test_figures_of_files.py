@@ -34,7 +34,7 @@ def frame(store):
 
 @pytest.fixture
 def probed(frame):
-    return figures.best_of(frame, "rays")
+    return figures.best_of(frame, "encoding")
 
 
 def footnote(figure) -> str:
@@ -57,30 +57,6 @@ def test_the_grid_shows_the_stored_panels_of_median_runs(frame):
     measured = pd.read_parquet(row["picture"].parents[1] / "eval.parquet").set_index("image")["psnr"]
     assert row["psnr"] == pytest.approx(measured[f"images/{row['image'].removeprefix('images-')}.png"])
     assert figure.axes[1].get_xlabel() == f"{row['psnr']:.2f} dB"
-
-
-def test_samples_and_weights_along_a_ray_are_the_probe_s(probed):
-    table = figures.ray_samples(probed, 1)
-    figure = figures.sampling_strategies(probed, 1)
-    names = list(dict.fromkeys(table["row"]))
-    assert names == [
-        "uniform",
-        "disparity",
-        "piecewise",
-        "proposal: network 0",
-        "proposal: network 1",
-        "proposal: final",
-    ]
-    for ax, name in zip(figure.axes, names, strict=True):
-        level = table[table["row"] == name]
-        ticks = [segment[0, 0] for segment in ax.collections[0].get_segments()]
-        np.testing.assert_allclose(ticks, (level["start"] + level["end"]) / 2)
-        weights, transmittance = (patch.get_data() for patch in ax.patches)
-        np.testing.assert_allclose(weights.values, level["weight"] / (level["weight"].max() or 1))
-        np.testing.assert_allclose(transmittance.values, level["transmittance"])
-        np.testing.assert_allclose(weights.edges[:-1], level["start"])
-    with pytest.raises(ValueError, match="has rays 0 to 4"):
-        figures.sampling_strategies(probed, 5)
 
 
 def test_encodings_are_drawn_channel_by_channel(probed):
@@ -145,8 +121,8 @@ def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
 
 def test_figures_say_how_to_make_what_is_missing(frame):
     classical = frame[frame["field"] == "classical"]
-    with pytest.raises(ValueError, match=r"no run of 2 has rays.parquet; `qnerf probe RUN rays` writes it"):
-        figures.best_of(classical, "rays")
+    with pytest.raises(ValueError, match=r"no run of 2 has encoding.parquet; `qnerf probe RUN encoding` writes it"):
+        figures.best_of(classical, "encoding")
     with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf probe .* spectrum` writes it"):
         figures.fourier_spectrum(classical["path"].iloc[0])
 

@@ -4,7 +4,6 @@ import pytest
 from qnerf.analysis import figures, load
 from qnerf.analysis.figures.__main__ import main as draw
 from qnerf.analysis.pack import main as pack
-from qnerf.analysis.paper import PAPER_TABLES
 from qnerf.analysis.report import content, curves
 from qnerf.analysis.report.__main__ import main as report
 from qnerf.analysis.report.pictures import Pictures
@@ -23,10 +22,8 @@ def test_every_table(mixed_store, capsys):
     over = over_seeds(frame)
     assert len(over.text) >= 4  # two fields and two heads of a photograph; distances have no PSNR
     assert not any("nan" in cell for column in over.text for cell in over.text[column].astype(str))
-    for _, make in PAPER_TABLES.values():
-        make(frame)
     rows = ",".join(row_keys(frame[frame["state"] == "finished"]))
-    for more in (["--stability"], ["--metric", "distance_error"], ["--smallest"], []):
+    for more in (["--stability"], ["--metric", "distance_error"], []):
         tables([str(mixed_store), "--rows", rows, *more])
         assert "|" in capsys.readouterr().out
     with pytest.raises(ValueError, match="probe RUN units"):
@@ -64,7 +61,7 @@ def test_tracked_runs_stand_beside_the_others(mixed_store, capsys):
     assert "better *" in capsys.readouterr().out
     tables([str(mixed_store), *rows, "--metric", "accuracy", "--resources"])
     run = load.runs(mixed_store, "scene_name=digits")["path"].iloc[0]
-    for command in (["render"], ["export", "--to", "points"], ["probe", "rays"], ["reproduce"]):
+    for command in (["render"], ["export"], ["probe", "units"], ["reproduce"]):
         assert dispatch(command[0], [run, *command[1:]]) == 2
         assert "was trained by a loop of its own" in capsys.readouterr().err
     frame = content.prepared(load.runs(mixed_store, "scene_name=digits"))

@@ -1,15 +1,9 @@
-import json
 import shutil
-from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
-from qnerf.analysis import load, packed
-from qnerf.analysis.images import pictures
+from qnerf.analysis import load
 from qnerf.analysis.pack import main
-from qnerf.analysis.paper import PAPER_TABLES
 from qnerf.analysis.tables import ablation
 from qnerf.analysis.verdict import evaluations
 
@@ -36,7 +30,6 @@ def test_a_packed_store_gives_the_tables_of_the_store(store, tmp_path, capsys):
     assert tables[0] == tables[1]
     assert "+0.75" in tables[1]
     assert "left out: 1 failed" in tables[1]
-    assert PAPER_TABLES["rgb"][1](packed).markdown().count("\n") > 10
     assert evaluations(packed[packed["state"] == "finished"]).size == 8
 
 
@@ -61,18 +54,6 @@ def test_runs_are_added_to_packed_ones(store, tmp_path):
     assert frame["run_id"].nunique() == len(frame) == 6
     assert frame["more"].count() == 1
     assert evaluations(frame[frame["state"] == "finished"]).size == 10
-
-
-def test_predictions_have_the_stored_psnr(trained, tmp_path):
-    main([str(trained), str(tmp_path), "--filter", "state=finished", "--predictions"])
-    assert {file.name for file in tmp_path.iterdir()} == {"runs.parquet", "views.parquet", "predictions"}
-    for run in load.runs(trained, "state=finished")["path"].map(Path):
-        views = packed.views(run).set_index("image")["psnr"]
-        own = tmp_path / "predictions" / run.name
-        assert json.loads((own / "info.json").read_text())["evaluation_protocol"] == "default"
-        for view, psnr in zip(sorted(pictures(run)), views.sort_index(), strict=True):
-            color, truth = (np.asarray(Image.open(own / kind / f"{view}.png")) / 255 for kind in ("color", "gt-color"))
-            assert -10 * np.log10(np.mean((color - truth) ** 2)) == pytest.approx(psnr, abs=0.02)
 
 
 def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):

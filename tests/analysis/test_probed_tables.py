@@ -97,6 +97,6 @@ def test_packed_runs_tell_the_same(store, tmp_path, capsys):
     shutil.rmtree(store)
     assert [make(load.runs(packed), ["field"]).markdown() for make in (units, resources)] == told
     assert not (rest / "units.parquet").exists()
-    for flag in ("--units", "--resources", "--stability", "--smallest"):
+    for flag in ("--units", "--resources", "--stability"):
         main([str(packed), "--rows", "field", flag])
         assert "| classical |" in capsys.readouterr().out

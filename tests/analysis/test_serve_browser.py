@@ -3,7 +3,7 @@
 import pytest
 from qnerf.analysis.serve import store as serve_store
 
-from qnerf.records import RunStore, annotations
+from qnerf.records import RunStore
 from tests.helpers.browser import chromium
 from tests.helpers.packed_stores import write_run
 from tests.helpers.serving import EVIL, served
@@ -57,7 +57,7 @@ def test_a_run_appears_trains_and_finishes_without_a_reload(browser, live):
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_the_page_is_used_by_keyboard_alone(browser, live, width):
-    store, address = live
+    _, address = live
     browser.opened(f"{address}/#filter=qcolor-s1", width, "dark", plots=False)
     browser.wait(lambda: len(browser.rows()) == 1)
     assert browser.overflow() == 0
@@ -68,12 +68,6 @@ def test_the_page_is_used_by_keyboard_alone(browser, live, width):
         browser.switch_to.active_element.send_keys(Keys.TAB)
     browser.switch_to.active_element.send_keys(Keys.ENTER)
     browser.wait(lambda: browser.by_id("detail").get_attribute("open"))
-    tags, note = (browser.one(f".editor {name}") for name in ("input", "textarea"))
-    tags.send_keys("good", Keys.TAB, EVIL)
-    assert browser.switch_to.active_element == note
-    note.send_keys(Keys.TAB, Keys.ENTER)
-    browser.wait(lambda: "saved" in browser.by_id("detail-body").text)
-    assert annotations.read(store / "poster-qcolor-s1") == annotations.Annotations(("good",), EVIL)
     browser.switch_to.active_element.send_keys(Keys.ESCAPE)
     browser.by_id("filter").clear()
     browser.by_id("row-keys").send_keys("field", Keys.TAB, "field=classical", Keys.ENTER)

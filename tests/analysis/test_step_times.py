@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 from qnerf.analysis.load import runs
 from qnerf.analysis.step_times import incomparable
-from qnerf.analysis.tables import ablation, smallest
+from qnerf.analysis.tables import ablation
 
 from tests.helpers.packed_stores import write_run
 
@@ -25,8 +25,6 @@ def test_a_table_ranks_no_times_that_are_not_comparable(tmp_path, reason):
     assert f"time of a step is not ranked: {reason}" in table.notes
     assert not table.bold["time of a step, ms"].any()
     assert table.bold["CPU time of a step, ms"].any() == ("time.load" in OTHER[reason])  # what waits costs no CPU time
-    with pytest.raises(ValueError, match=f"not ranked: {reason}; expected another size"):
-        smallest(frame, ["field"], size="step_ms")
 
 
 def test_times_under_the_same_load_are_ranked(tmp_path):

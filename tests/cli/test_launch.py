@@ -1,17 +1,14 @@
-"""Trainings and sweeps from the command line: what they say, side by side, killed, stopped, shared with others."""
+"""Trainings and sweeps from the command line: what they say, stopped, shared with others."""
 
 import contextlib
 import errno
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
-import pandas as pd
 import pytest
 import torch
 
@@ -26,7 +23,6 @@ from qnerf.config import devices
 from qnerf.experiment import Outcome
 from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary, runs, state
 from qnerf.training.stop_requests import stop_requests
-from tests.helpers.configs import ROOT
 from tests.helpers.processes import Forked, call
 from tests.helpers.stores import vanish
 
@@ -98,7 +94,7 @@ def test_a_missing_launcher_or_search_is_one_line(qnerf, monkeypatch):
     monkeypatch.setattr(
         sweep_start, "EXTRAS", {name: ("no_such_module", extra) for name, (_, extra) in sweep_start.EXTRAS.items()}
     )
-    for option, extra in (("hydra/launcher=joblib", "parallel"), ("hydra/sweeper=qnerf_optuna", "search")):
+    for option, extra in (("hydra/launcher=submitit_local", "slurm"), ("hydra/sweeper=qnerf_optuna", "search")):
         done = qnerf("run", "-m", "seed=0,1", option)
         assert (done.code, f'pip install "qnerf[{extra}]"' in done.err, done.err.count("\n")) == (2, True, 1)
 
@@ -180,77 +176,7 @@ def test_threads_come_from_slurm(qnerf, monkeypatch):
     assert "threads must be between 1 and 1024, got 100000" in qnerf("run").err
 
 
-# Jobs side by side
-
-
-@pytest.fixture
-def parallel(small: list[str]) -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
-    """Starts a sweep of two jobs at a time, in a process group of its own, which ends with the test."""
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason='needs pip install "qnerf[parallel]"')
-
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*overrides: str) -> "subprocess.Popen[str]":
-        launcher = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-        environment = {key: value for key, value in os.environ.items() if key != "OMP_NUM_THREADS"}
-        process = subprocess.Popen(
-            [sys.executable, "-m", "src.run", "-m", *launcher, *small, *overrides],
-            cwd=ROOT, env=environment, start_new_session=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        started.append(process)
-        return process
-
-    yield start
-    for process in started:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-
-
-def written(run: Path) -> tuple[int, int]:
-    """Which file the summary is, and when it was written."""
-    status = (run / "summary.parquet").stat()
-    return status.st_ino, status.st_mtime_ns
-
-
-def test_a_job_whose_process_alone_is_terminated_has_failed(tmp_path, monkeypatch):
-    own = SimpleNamespace(job=SimpleNamespace(num=3), overrides=SimpleNamespace(task=["seed=3"]))
-    monkeypatch.setattr(launch.HydraConfig, "get", lambda: own)
-    sweep = Sweep(tmp_path)
-    assert launch._terminated(sweep)
-    assert sweep.failures() == [("seed=3", "its process was terminated; the same command continues it")]
-    sweep.stop()
-    assert not launch._terminated(sweep)  # all jobs are to end
-
-
-@posix
-@pytest.mark.usefixtures("signals")
-def test_sweep_side_by_side_that_is_killed_goes_on_and_stops_with_checkpoints(parallel, tmp_path):
-    store = tmp_path / "runs"
-    process = parallel("train.steps=3,100000")  # one process trains on, and one waits for a job that does not come
-    wait(lambda: states(store).count("finished") == 1 and "running" in states(store))
-    process.kill()
-    process.communicate(timeout=60)  # returns when both have seen that the sweep is gone and let the pipe go
-    assert set(states(store)) == {"finished", "interrupted"}
-    assert all((path / "checkpoint.pt").exists() for path in runs(store))
-    finished = {path: written(path) for path in runs(store) if state(path) == "finished"}
-    again = parallel("train.steps=3,100000", "seed=0,1,2", "train.eps=1e-15,-1")
-    wait(lambda: states(store).count("running") == 2)
-    wait(training(store, 5))
-    os.killpg(again.pid, signal.SIGINT)  # as Ctrl-C does in a terminal
-    stdout, stderr = again.communicate(timeout=300)
-    assert again.returncode == 130, stderr
-    assert "Traceback" not in stdout + stderr
-    assert stderr.strip().splitlines()[-1] == "stopped; the same command continues from the last checkpoints"
-    assert stdout.startswith("12 jobs, 12 different runs\n")
-    assert {line.split(" | ")[0] for line in stdout.splitlines()[1:]} >= set("024"), "each line says whose it is"
-    assert states(store) == ["finished"] * 3 + ["interrupted"] * 2, "the last job was not begun"
-    assert {path: written(path) for path in finished} == finished
-    assert all(steps(path) == list(range(1, len(steps(path)) + 1)) for path in runs(store))
-    assert all((path / "checkpoint.pt").exists() for path in runs(store))
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    for path in runs(store):
-        assert pd.read_json(path / "environment.json", typ="series")["threads"]["torch"] == max(cores // 2, 1)
+# What jobs report
 
 
 def test_failures_come_in_the_order_of_the_jobs_without_what_all_have_in_common(tmp_path):

@@ -64,7 +64,7 @@ def test_mistakes_are_one_line(small, tmp_path):
         "train.step=3": "did you mean train.steps",
         "field=nonsense": "known: ",
         "seed=0,1": "use qnerf.sweep",
-        "hydra/launcher=joblib": "for the command line",
+        "hydra/launcher=submitit_local": "for the command line",
         "train.steps=0": "train.steps must be",
     }
     for override, message in wrong.items():

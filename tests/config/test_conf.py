@@ -97,8 +97,8 @@ SMALL = ("qiren.qubits=2",)
 TRAINED: dict[str, list[tuple[str, ...]]] = {
     "field": [(f"field={name}", f"encoder={encoder}") for name in choices("field") for encoder in ("hash", "pe")],
     "encoder": [("field=classical", f"encoder={name}") for name in choices("encoder")],
-    "qiren": [("field=qboth", f"qiren={name}", *SMALL) for name in choices("qiren")],
-    "hash": [(f"hash={name}", "hash.log2_table_size=8", "field=classical") for name in choices("hash")],
+    "qiren": [("field=qboth", f"qiren={name}", *SMALL) for name in ("1L1S", "3L4S")],
+    "hash": [(f"hash={name}", "hash.log2_table_size=8", "field=classical") for name in ("C1", "C7")],
     "shading": [
         (f"shading={name}", f"geo_features={features}", f"visibility.cameras={cameras}", *SMALL)
         for name in choices("shading")
@@ -118,7 +118,7 @@ TRAINED: dict[str, list[tuple[str, ...]]] = {
     "other": [
         *((f"{group}=auto", "field=classical") for group in ("hash", "cameras", "shading", "contraction")),
         *((f"render.background={name}", "field=classical") for name in ("white", "black", "random", "last_sample")),
-        ("occupancy.every=1", "occupancy.after=0", "stop.every=1", "stop.share=0.2", "field=classical"),
+        ("stop.every=1", "stop.share=0.2", "field=classical"),
         ("numerics.dtype=float64", "appearance=3", "field=qboth", *SMALL),
     ],
 }

@@ -48,8 +48,8 @@ def qnerf(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_page_s_components_train_side_by_side_and_are_not_imported_unasked(folder):
     swept = subprocess.run(
-        [sys.executable, "-c", RUN, "-m", *typed_on_the_page("my_module"), *SMALL, "hydra/launcher=joblib",
-         "hydra.launcher.n_jobs=2", "seed=0,1"],
+        [sys.executable, "-c", RUN, "-m", *typed_on_the_page("my_module"), *SMALL, "hydra/launcher=submitit_local",
+         "seed=0,1"],
         cwd=folder,
         env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"},
         capture_output=True,

@@ -28,7 +28,6 @@ BAD = {
     "store=": "store must not be empty",
     "train.eps=1e-310": "train.eps must be between 1e-30 and 1000000.0, got 1e-310",
     "train.rates.color=[1]": "train.rates.color expects float, got [1] (list)",
-    "stop.every=1 occupancy.every=1 occupancy.min_opacity=1": "min_opacity must be above 0 and below 1, got 1",
     "sampler.samples=[]": "sampler.samples must not be empty",
     "density.initial=abc": "density.initial expects float, got 'abc' (str)",
     "encoder.levels=[1]": "encoder.levels expects int, got [1] (list)",

@@ -18,7 +18,7 @@ import pytest
 import torch
 
 from qnerf import experiment, records
-from qnerf.records import StoreError
+from qnerf.records import StoreError, index
 from qnerf.records.read import read_evaluation
 from tests.helpers import processes
 from tests.helpers.configs import MOMENT, TINY, composed
@@ -92,6 +92,7 @@ def poll(run: Path) -> None:
     assert records.read_summary(run)["run_id"] == run.name
     assert records.read_config(run)["train"]["steps"] == 30
     assert records.read_status(run)["state"] in ("running", "finished")
+    assert index.load(run.parent)["run_id"].tolist() == [run.name]
 
 
 def test_killed_trainings_resume_to_the_same_numbers(job: Path) -> None:

@@ -18,7 +18,7 @@ from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTens
 from torch.overrides import TorchFunctionMode
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
-from qnerf.model.occupancy import Occupancy
+from qnerf.geometry.visibility import SpaceMask
 from qnerf.quantum import QuantumLayer
 from tests.helpers.configs import TINY, composed
 from tests.helpers.trainer import trainer as built_trainer
@@ -90,13 +90,13 @@ def main() -> None:
 
 
 def step(options: str) -> None:
-    """A training step as the trainer takes it: its rays, its terms, backward, and a look of the occupancy grid.
+    """A training step as the trainer takes it: its rays, its terms, and backward.
 
     A number that is read, or a shape that depends on values, is an error of fake tensors.
     """
     config = composed(
         "scene=poster", *TINY, *options.split(), "qiren.qubits=3", "hash=C7", "train.rays=8", "device=cpu",
-        "occupancy.every=1", "visibility.resolution=16",
+        "visibility.cameras=1", "visibility.resolution=16",
     )  # fmt: skip
     trainer = built_trainer(config)
     model, table = trainer.model, trainer.table
@@ -106,13 +106,12 @@ def step(options: str) -> None:
         for name, value in vars(table).items():
             if torch.is_tensor(value):
                 setattr(table, name, value.detach().to(DEVICE))
-        assert isinstance(model.field.mask, Occupancy)
+        assert isinstance(model.field.mask, SpaceMask)
         streams = {"pixels": torch.Generator().manual_seed(0), "samples": torch.Generator().manual_seed(1)}
         with suppress(DataDependentOutputException):
             bool(model.field.mask.grid.any())
             raise AssertionError("a number was read unseen")
         for number in (0, 10):  # the proposal networks learn in the first of them
-            model.field.mask.look(model.field, streams["samples"])
             terms = trainer.terms(streams, number)
             parameters = [p for p in model.parameters() if p.requires_grad]
             check(f"{options} {number}", terms.values(), parameters)

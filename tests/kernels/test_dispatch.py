@@ -122,7 +122,7 @@ def test_dtypes_devices_and_transformations():
     assert aside == {"sample places": "Identity has no loop"}
 
 
-@pytest.mark.parametrize("options", [[], ["field=qboth", "train=paper", "occupancy.every=2", "occupancy.after=1"]])
+@pytest.mark.parametrize("options", [[], ["field=qboth", "train=paper", "visibility.cameras=2"]])
 def test_a_step_of_shipped_components_is_compiled_throughout(options):
     scene = ["scene.views=4", "train.rays=8"]
     training = trainer(composed("scene=poster", *scene, "hash=C7", "qiren.qubits=3", *options))

@@ -146,13 +146,6 @@ def test_an_infinite_density_where_none_may_be_is_none(field, points):
     assert torch.equal(field.density(points), torch.zeros(5, 7))
 
 
-def test_density_anywhere_ignores_the_mask(field, points):
-    whole = field.density(points)
-    field.mask = SpaceMask(torch.zeros(2, 2, 2, dtype=torch.bool))
-    unit = field.contraction(points).reshape(-1, 3)
-    torch.testing.assert_close(field.density_anywhere(unit).view(5, 7), whole)
-
-
 def test_initial_scales_the_density(points):
     fields = []
     for initial in (1.0, 0.1):

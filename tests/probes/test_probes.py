@@ -12,13 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from qnerf.building.model import ray_table
 from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.encoders import spherical_harmonics
 from qnerf.experiment import run
 from qnerf.heads import HEADS
-from qnerf.probes import PROBES, Trained, cost, diagnostics, encoding, load, probe, rays, spectrum
+from qnerf.probes import PROBES, Trained, cost, diagnostics, encoding, load, probe, spectrum
 from qnerf.quantum import QuantumLayer, lightcone
 from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Weights, feature, weight
 from qnerf.quantum.cones import find_cones
@@ -26,7 +25,6 @@ from qnerf.quantum.diagnostics import weights_of
 from qnerf.quantum.program import program
 from qnerf.quantum.statevector import PlainCircuit
 from qnerf.records.read import read_probe
-from qnerf.timing import Stopwatch
 from tests.helpers.trainer import built
 
 
@@ -135,43 +133,6 @@ def test_encoding_holds_the_run_s_own_encoder_and_the_others(tiny):
     assert few["channel_3"].isna().all()
 
 
-def test_rays_have_the_samples_that_the_model_renders(quantum_run):
-    trained = load(quantum_run)
-    table = pd.read_parquet(probe(trained, "rays"))
-    chosen, view = trained.settings, trained.scene.eval[0]
-    watch = Stopwatch(chosen.torch_device, trained.model, QuantumLayer)
-    watch.begin(measure=False)
-    with torch.no_grad():
-        every = ray_table(chosen, trained.scene).view(view)
-        rendering, sampled, _ = trained.model(every, background="last_sample", step=trained.step, watch=watch)
-    assert set(table["image"]) == {trained.scene.names[view]}
-    pixels = table[["pixel_x", "pixel_y"]].drop_duplicates()
-    assert len(pixels) == len(rays.PIXELS)
-    for x, y in pixels.itertuples(index=False):
-        index = y * trained.scene.cameras.width + x
-        here = table[(table["pixel_x"] == x) & (table["pixel_y"] == y)]
-        final = here[here["own"] & (here["level"] == "final")]
-        np.testing.assert_allclose(final["weight"], rendering.weights[index], atol=1e-6)
-        np.testing.assert_allclose(final["start"], sampled.samples.edges[index, :-1], rtol=1e-5)
-        for number, (samples, weights) in enumerate(sampled.proposals):
-            level = here[here["level"] == f"network {number}"]
-            np.testing.assert_allclose(level["weight"], weights[index], atol=1e-6)
-            np.testing.assert_allclose(level["end"], samples.edges[index, 1:], rtol=1e-5)
-
-
-def test_rays_are_covered_without_gaps_by_every_strategy(tiny):
-    table = rays.table(untrained(tiny("field=classical")))
-    assert {"proposal", "uniform", "disparity", "piecewise"} == set(table["strategy"])
-    for _, level in table.groupby(["strategy", "level", "pixel_x", "pixel_y"]):
-        np.testing.assert_array_equal(level["start"].to_numpy()[1:], level["end"].to_numpy()[:-1])
-        assert level["transmittance"].iloc[0] == 1
-        np.testing.assert_allclose(1 - level["weight"].cumsum().to_numpy()[:-1], level["transmittance"][1:], atol=1e-6)
-    uniform = table[table["strategy"] == "uniform"]
-    widths = uniform["end"] - uniform["start"]
-    np.testing.assert_allclose(widths, widths.iloc[0], rtol=1e-3)
-    assert len(table[table["own"] & (table["level"] == "final")]) == len(uniform)
-
-
 def test_diagnostics_of_a_run_are_saved_and_shown(quantum_run, monkeypatch, capsys):
     for name, value in {"STATES": 50, "FISHER_INPUTS": 4, "KERNEL_INPUTS": 20, "SAMPLES": 400}.items():
         monkeypatch.setattr(diagnostics, name, value)
@@ -262,10 +223,10 @@ def test_units_of_circuits_are_their_measured_values(quantum_run):
 def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
     assert set(probe_command.PROBES) == set(PROBES)
     path = shutil.copytree(
-        quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["rays.parquet", "spectrum.parquet"]
+        quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["encoding.parquet", "spectrum.parquet"]
     )
-    assert command(monkeypatch, str(path), "rays", "spectrum") == 0
-    assert capsys.readouterr().out.split() == [str(path / "rays.parquet"), str(path / "spectrum.parquet")]
+    assert command(monkeypatch, str(path), "encoding", "spectrum") == 0
+    assert capsys.readouterr().out.split() == [str(path / "encoding.parquet"), str(path / "spectrum.parquet")]
     assert not (path / "eval_hardware.parquet").exists()
     assert command(monkeypatch, str(path), "shots=10", "views=1") == 0
     assert (path / "eval_hardware.parquet").exists()
@@ -281,8 +242,8 @@ def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, 
         return error
 
     for arguments, message in (
-        (["ray"], "unknown probe 'ray'; known: spectrum, encoding, rays"),
-        (["rays", "shot=1"], "unknown option 'shot'; known: shots"),
+        (["unit"], "unknown probe 'unit'; known: spectrum, encoding, units"),
+        (["units", "shot=1"], "unknown option 'shot'; known: shots"),
         (["spectrum"], "neither of its heads has a circuit of qnerf"),
         (["shots=10"], "neither of its heads has a circuit of qnerf"),
         (["views=-1"], "views must be between 0 and 1000000000, got -1"),
@@ -293,11 +254,11 @@ def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, 
     sound = (path / "checkpoint.pt").read_bytes()
     for content in (b"", b"PK no archive", sound[:1000]):
         (path / "checkpoint.pt").write_bytes(content)
-        assert "checkpoint.pt: expected the checkpoint of this run, got " in refused("rays")
+        assert "checkpoint.pt: expected the checkpoint of this run, got " in refused("encoding")
     (path / "checkpoint.pt").write_bytes(sound)
     (tiny_scene / "images" / "000.png").write_bytes((tiny_scene / "images" / "001.png").read_bytes())
-    assert "the scene's contents are not those that the run was started with" in refused("rays")
-    assert not (path / "rays.parquet").exists()
+    assert "the scene's contents are not those that the run was started with" in refused("encoding")
+    assert not (path / "encoding.parquet").exists()
 
 
 def test_load_refuses_runs_that_are_not_finished(tmp_path):

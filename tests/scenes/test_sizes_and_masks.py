@@ -11,7 +11,6 @@ import pytest
 import torch
 from PIL import Image
 
-from qnerf import experiment
 from qnerf.building.scene import prepare
 from qnerf.geometry.hull import sees_through
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
@@ -238,28 +237,6 @@ def test_masks_that_do_not_fit_are_one_line(tmp_path: Path) -> None:
         RayTable(build(folder))
     with pytest.raises(ValueError, match="the masks leave no pixel to train on"):
         prepare(composed("needs=auto", "scene=nerfstudio", f"scene.path={folder}"))
-
-
-def test_a_scene_of_all_this_trains_and_measures_each_view_at_its_size(mixed: Path, tmp_path: Path) -> None:
-    mask(mixed)
-    change_frame(mixed, 1, camera_model="OPENCV_FISHEYE", k1=0.02)
-    options = [
-        "scene=nerfstudio",
-        f"scene.path={mixed}",
-        f"store={tmp_path / 'runs'}",
-        "budget=smoke",
-        "field=classical",
-    ]
-    config = composed(
-        *options, "train.steps=2", "train.rays=16", "hash=C1", "stop.every=1", "stop.share=0.1", "visibility.cameras=1"
-    )
-    outcome = experiment.run(config)
-    assert outcome.state == "finished"
-    assert np.isfinite(outcome.summary["psnr"])
-    scene = build(mixed)
-    (held_out,) = scene.eval
-    with Image.open(next((outcome.path / "images").glob("*.png"))) as picture:
-        assert picture.size[0] * SIZES[held_out][1] == 4 * picture.size[1] * SIZES[held_out][0]
 
 
 def test_silhouettes_say_nothing_behind_a_mask(tmp_path: Path) -> None:

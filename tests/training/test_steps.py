@@ -20,7 +20,7 @@ COMBINATIONS = [
     "field=qboth shading=none density.activation=softplus",
     "field=classical shading=none render.background=random appearance=3 color.directions=sh",
     "field=classical contraction=box hash.features=3 render.background=white color.mlp.layers=1",
-    "field=classical occupancy.every=2 occupancy.after=1 visibility.cameras=1 density.mlp.layers=3",
+    "field=classical visibility.cameras=1 density.mlp.layers=3",
     "field=classical sampler=uniform sampler.samples=8 appearance=2",
     "field=classical contraction=box cameras=so3xr3 hash.features=3",
 ]

@@ -96,7 +96,7 @@ def test_the_command_writes_videos_of_colour_and_depth(tiny_run, tmp_path, capsy
 def test_long_work_is_announced_and_refused_from_a_day_on(tiny_run, tmp_path, capsys, monkeypatch):
     jobs = {
         "render": ["--size", "10x6", "--frames", "2", "--out", str(tmp_path / "video.webp")],
-        "export": ["--to", "points", "--within", "900", "--out", str(tmp_path / "points.ply")],
+        "export": ["--within", "900", "--out", str(tmp_path / "points.ply")],
     }
     for name, arguments in jobs.items():
         monkeypatch.setattr(forecast, "TELL", 0.0)

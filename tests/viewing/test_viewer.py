@@ -1,6 +1,5 @@
 """The viewer: its pictures, its render loop, and its server as a browser talks to it."""
 
-import dataclasses
 import io
 import math
 import shutil
@@ -18,10 +17,10 @@ from qnerf.cli import main
 from qnerf.experiment import run
 from qnerf.geometry.camera_paths import Camera
 from qnerf.probes import load
-from qnerf.training.evaluation import shade_error
+from qnerf.training.evaluation import shade
 from qnerf.viewing.frames import Renderer, as_bytes
 from qnerf.viewing.guard import COOKIE, Guard
-from qnerf.viewing.painter import Painter, Shown
+from qnerf.viewing.painter import Painter
 from qnerf.viewing.viewer import Viewer, camera_of, quaternion, require_free, sharpen
 from tests.helpers.configs import TINY, composed
 from tests.helpers.scenes import write_scene
@@ -59,26 +58,12 @@ def test_viewer_bounds_what_a_browser_may_ask_for():
         assert 0 < camera_of(*place, fov, 1.0, 24).focal < 1e5
 
 
-def test_pictures_of_colour_halves_and_error(trained):
-    renderers = [Renderer(trained), Renderer(dataclasses.replace(trained, model=load(trained.folder).model))]
-    with torch.no_grad():
-        next(renderers[1].trained.model.field.color_head.parameters()).mul_(-3)
-    painter, here = Painter(renderers), camera(trained)
-    one, other, halves = (painter.picture(here, Shown(run=run)) for run in (0, 1, None))
-    assert not np.array_equal(one, other)
-    np.testing.assert_array_equal(one, as_bytes(renderers[0].frame(here).color))
-    np.testing.assert_array_equal(halves[:, :6], one[:, :6])
-    np.testing.assert_array_equal(halves[:, 7:], other[:, 7:])
-    assert painter.picture(here, Shown(), lambda: True) is None
-    assert painter.nearest(here) == 0
-    # From a view's own camera the error is that of the view's pixels.
-    rendered = renderers[0].view(0)
-    error = as_bytes(shade_error(rendered.color, renderers[0].evaluator.truth(0)))
-    np.testing.assert_array_equal(painter.picture(here, Shown("error")), error)
-    moved = dataclasses.replace(trained.scene, transform=2 * trained.scene.transform)
-    renderers[1].trained = dataclasses.replace(trained, scene=moved)
-    with pytest.raises(ValueError, match="are runs of different scenes"):
-        Painter(renderers)
+def test_pictures_of_colour_and_depth(trained):
+    painter, here = Painter(Renderer(trained)), camera(trained)
+    frame = painter.renderer.frame(here)
+    np.testing.assert_array_equal(painter.picture(here, "color"), as_bytes(frame.color))
+    np.testing.assert_array_equal(painter.picture(here, "depth"), as_bytes(shade(frame.depth)))
+    assert painter.picture(here, "color", lambda: True) is None
 
 
 def test_pictures_become_sharper_until_the_view_changes():
@@ -103,7 +88,7 @@ def test_pictures_become_sharper_until_the_view_changes():
 def test_checkpoints_are_taken_as_they_come(trained, tmp_path):
     shutil.copytree(trained.folder, tmp_path / trained.folder.name)
     own = load(tmp_path / trained.folder.name)
-    painter = Painter([Renderer(own)])
+    painter = Painter(Renderer(own))
     assert painter.reload()
     assert not painter.reload()
     file = own.folder / "checkpoint.pt"
@@ -112,9 +97,9 @@ def test_checkpoints_are_taken_as_they_come(trained, tmp_path):
     content["model"] = {name: value.clone().zero_() for name, value in content["model"].items()}
     torch.save(content, file)
     assert painter.reload()
-    assert painter.renderers[0].trained.step == 2
+    assert painter.renderer.trained.step == 2
     assert all(not bool(value.any()) for value in own.model.state_dict().values())
-    assert painter.texts() == [f"{own.folder.name}: finished, checkpoint of step 2 of 3"]
+    assert painter.text() == f"{own.folder.name}: finished, checkpoint of step 2 of 3"
     file.write_bytes(b"PK no checkpoint")
     with pytest.raises(ValueError, match="expected the checkpoint of this run"):
         painter.reload()
@@ -137,18 +122,13 @@ def test_a_taken_port_and_a_missing_extra_are_one_line(tiny_run, capsys, monkeyp
     assert err.count("\n") == 1
 
 
-def test_three_runs_are_too_many(tiny_run, capsys):
-    assert main.dispatch("view", [str(tiny_run)] * 3) == 2
-    assert "expected one run or two, got 3" in capsys.readouterr().err
-
-
 # A real server
 
 
 @pytest.fixture
 def viewer(ball):
     pytest.importorskip("viser", reason="viser is not installed")
-    served = Viewer([ball], port=free_port(), width=96)
+    served = Viewer(ball, port=free_port(), width=96)
     yield served
     served.stop()
 
@@ -245,7 +225,7 @@ def test_a_run_that_trains_is_followed_in_a_browser(tmp_path, browse):
     steps = iter(range(2))
     begun = run(config, stopping=lambda: next(steps, None) is None)
     assert begun.state == "interrupted"
-    viewer = Viewer([Renderer(load(begun.path, unfinished=True))], port=free_port(), width=64)
+    viewer = Viewer(Renderer(load(begun.path, unfinished=True)), port=free_port(), width=64)
     try:
         page = browse(viewer)
         page.until(lambda picture: picture.std() > 1, "no picture came")

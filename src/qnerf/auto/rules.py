@@ -113,11 +113,6 @@ def silhouettes(data: Measured, config: Config) -> Decision:
     return Decision(data.half_extent is not None, {"alpha": float(data.scene.has_alpha)})
 
 
-@rule("occupancy.every")
-def occupancy(data: Measured, config: Config) -> Decision:
-    return Decision(100)
-
-
 EXPOSURE = 0.05  # standard deviation over views of the log brightness above which each view gets an embedding
 EMBEDDING = 16
 

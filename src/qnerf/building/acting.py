@@ -242,8 +242,7 @@ def _untrainable(group: str) -> Callable[[Mapping[str, Any]], bool]:
 
 _WITHOUT_EFFECT: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
     (("pose_noise.seed",), _off("pose_noise.rotation", "pose_noise.translation")),
-    (("visibility.resolution",), _off("visibility.cameras", "visibility.alpha", "occupancy.every")),
-    (("occupancy.after", "occupancy.min_opacity"), _off("occupancy.every")),
+    (("visibility.resolution",), _off("visibility.cameras", "visibility.alpha")),
     (("stop.patience", "stop.min_gain_db", "stop.share", "stop.rays"), _off("stop.every")),
     (("train.eval_views",), _off("train.eval_every")),
     (("train.rates.appearance",), _off("appearance")),

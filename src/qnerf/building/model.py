@@ -21,7 +21,6 @@ from qnerf.heads.qiren import Normalisation, check_samples
 from qnerf.model.field import Field
 from qnerf.model.memory import require_parameters
 from qnerf.model.model import Model
-from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.samplers import SAMPLERS, Sampler
 from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import Scene
@@ -88,22 +87,19 @@ def check_samples_of_a_step(settings: Settings, model: Model) -> None:
 
 
 def build_mask(settings: Settings, scene: Scene, contraction: Contraction) -> SpaceMask | None:
-    """Where density may be: seen by enough cameras, inside the silhouettes, and not empty; None: everywhere."""
+    """Where density may be: seen by enough cameras, and inside the silhouettes; None: everywhere."""
     cameras, n = settings.visibility.cameras, settings.visibility.resolution
     grids = []
     if cameras:
         grids.append(visible_cells(contraction, scene.cameras, scene.train, cameras, n))
     if settings.visibility.alpha:
         grids.append(visual_hull(contraction, scene, n))
-    if not grids and not settings.occupancy.every:
+    if not grids:
         return None
-    allowed = torch.stack(grids).all(0) if grids else torch.ones(n, n, n, dtype=torch.bool)
+    allowed = torch.stack(grids).all(0)
     if not bool(allowed.any()):
         raise ValueError("visibility: no cell is both inside the silhouettes and seen by enough cameras; turn one off")
-    if not settings.occupancy.every:
-        return SpaceMask(allowed)
-    options = {name: getattr(settings.occupancy, name) for name in ("every", "after", "min_opacity")}
-    return Occupancy(allowed, contraction, **options)
+    return SpaceMask(allowed)
 
 
 def ray_table(settings: Settings, scene: Scene) -> RayTable:

@@ -113,14 +113,13 @@ def described(config: Mapping[str, Any], parameters: Mapping[str, int], defaults
     return lines | {"changed": text}
 
 
-def print_outcome(console: Console, outcome: Outcome, prefix: str = "", brief: bool = False) -> None:
+def print_outcome(console: Console, outcome: Outcome, brief: bool = False) -> None:
     """Prints the results as `qnerf show` does, and the run's folder.
 
-    That a run was interrupted goes to standard error, behind `prefix`. brief: no results of a run that was finished
-    before.
+    That a run was interrupted goes to standard error. brief: no results of a run that was finished before.
     """
     if outcome.state == "interrupted":
-        print(prefix + printable(outcome.message), file=sys.stderr)
+        print(printable(outcome.message), file=sys.stderr)
     elif outcome.message:
         console.print(outcome.message, highlight=False, markup=False, soft_wrap=True)
     # Evaluations during training are not the result.

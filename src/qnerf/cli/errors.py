@@ -50,9 +50,9 @@ class Parser(argparse.ArgumentParser):
         sys.exit(report(ValueError(message)))
 
 
-def report(error: Exception, before: str = "") -> int:
-    """Prints the error as one line, `before` first; returns the exit code."""
-    print(f"{before}error: {one_line(error)}", file=sys.stderr)
+def report(error: Exception) -> int:
+    """Prints the error as one line; returns the exit code."""
+    print(f"error: {one_line(error)}", file=sys.stderr)
     return FAILED if is_shortage(error) or is_full(error) or raised_in(error) else WRONG
 
 

@@ -3,17 +3,14 @@
 The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` puts them (`sweep.py`).
 """
 
-import contextlib
 import logging
 import os
 import re
 import sys
-import threading
 import traceback
 import warnings
-from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
@@ -40,52 +37,28 @@ from qnerf.records import owner, state
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
 _jobs: list[Sweep | None] = []  # of the jobs that began in this process, the sweep
-_working = threading.Lock()  # held while a job runs
 _full_errors: list[bool] = []  # whether the user asked for tracebacks, with Hydra's HYDRA_FULL_ERROR=1
-
-
-class _Prefixed:
-    """Writes to `file` with `prefix` before every line, so that readers can tell the lines of parallel jobs apart."""
-
-    def __init__(self, file: TextIO, prefix: str) -> None:
-        self.file = file
-        self.prefix = prefix
-
-    def write(self, text: str) -> None:
-        self.file.write("".join(self.prefix + line for line in text.splitlines(keepends=True)))
-
-    def flush(self) -> None:
-        self.file.flush()
 
 
 @ends.stoppable()  # the processes of a launcher start here
 def job(composed: DictConfig) -> None:
     """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
-    with _working:
-        _job(composed)
-
-
-def _job(composed: DictConfig) -> None:
     ends.escape_unencodable()  # in a launcher's process, too
     own = HydraConfig.get()
     sweep = Sweep(own.sweep.dir) if own.mode == RunMode.MULTIRUN else None
     _jobs.append(sweep)
-    side_by_side = sweep is not None and own.runtime.choices["hydra/launcher"] == "joblib"
-    prefix = f"{own.job.num} | " if side_by_side else ""
-    if side_by_side and len(_jobs) == 1:
-        sweeps.leave_when_abandoned(_working)
     try:
-        if not _stopping(sweep):
-            _train(composed, prefix, sweep)
-    except KeyboardInterrupt:
-        if not (side_by_side and _terminated(sweep)):
-            print("stopped", file=sys.stderr)
+        if ends.output_lost():
             sys.exit(ends.stopped_code())
+        _train(composed, sweep)
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        sys.exit(ends.stopped_code())
     except Exception as error:
-        _failed(error, prefix, sweep)
+        _failed(error, sweep)
 
 
-def _failed(error: Exception, prefix: str, sweep: Sweep | None) -> None:
+def _failed(error: Exception, sweep: Sweep | None) -> None:
     """Prints the error as one line. A bug keeps its traceback, and so does everything with HYDRA_FULL_ERROR=1."""
     from qnerf.training.trainer import Diverged
 
@@ -94,33 +67,14 @@ def _failed(error: Exception, prefix: str, sweep: Sweep | None) -> None:
         raise error
     if not known:
         traceback.print_exc()
-    code = report(error, prefix)
+    code = report(error)
     if sweep is None:
         sys.exit(code if isinstance(error, (ValueError, OmegaConfBaseException)) else FAILED)
     reason = one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
     sweep.fail(HydraConfig.get().job.num, list(HydraConfig.get().overrides.task), reason)
 
 
-def _terminated(sweep: Sweep | None) -> bool:
-    """Whether somebody has stopped this process alone, not the sweep; then the job has failed, and others go on."""
-    if sweep is None or _stopping(sweep):
-        return False
-    own = HydraConfig.get()
-    reason = "its process was terminated; the same command continues it"
-    sweep.fail(own.job.num, list(own.overrides.task), reason)
-    return True
-
-
-def _stopping(sweep: Sweep | None) -> bool:
-    if ends.output_lost():
-        if sweep is not None:
-            with contextlib.suppress(OSError):
-                sweep.stop()  # the other jobs, too
-        return True
-    return sweep is not None and (sweep.stopping() or sweeps.is_abandoned())
-
-
-def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
+def _train(composed: DictConfig, sweep: Sweep | None) -> None:
     from qnerf.cli.display import LiveDisplay, print_outcome
     from qnerf.cli.training import note_without_effect, train
 
@@ -129,7 +83,7 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     own = HydraConfig.get()
     overrides = list(own.overrides.task)
     _show_warnings()
-    console = Console(file=_Prefixed(sys.stdout, prefix)) if prefix else Console()  # type: ignore[arg-type]
+    console = Console()
     if sweep is not None and console.is_terminal:
         console.rule(" ".join(overrides), align="left")
     elif sweep is not None:
@@ -138,13 +92,13 @@ def _train(composed: DictConfig, prefix: str, sweep: Sweep | None) -> None:
     if sweep is None:  # a sweep has said so in its first line
         note_without_effect(configuration, overrides)
     display = LiveDisplay(console, config["run"]["progress"], _defaults(overrides) if sweep is None else None)
-    outcome = train(configuration, overrides, display, partial(_stopping, sweep), _judge(sweep, config["store"]))
-    print_outcome(console, outcome, prefix, brief=sweep is not None)
+    outcome = train(configuration, overrides, display, ends.output_lost, _judge(sweep, config["store"]))
+    print_outcome(console, outcome, brief=sweep is not None)
     if outcome.state == "busy" and sweep is not None:
         sweep.busy(own.job.num, overrides, outcome.path)
     elif outcome.state == "busy":
         sys.exit(FAILED)
-    elif outcome.state == "interrupted" and not (prefix and (_terminated(sweep) or _stopping(sweep))):
+    elif outcome.state == "interrupted":
         sys.exit(ends.stopped_code())
 
 
@@ -192,9 +146,6 @@ def _report(sweep: Sweep) -> int:
         for overrides, reason in failures:
             table.add_row(Text(overrides), Text(reason))
         Console(stderr=True).print(table)
-    if sweep.stopping():
-        print("stopped; the same command continues from the last checkpoints", file=sys.stderr)
-        return ends.stopped_code()
     if busy := [run for run in sweep.busy_runs() if state(run) != "finished"]:
         names = ", ".join(f"{run.name} ({owner.describe(run)})" for run in busy)
         print(f"not finished, other processes train them: {names}; the same command looks again", file=sys.stderr)

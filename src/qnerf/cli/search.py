@@ -5,7 +5,6 @@ The values that a sweep would combine are the space of the search. The trials ru
 
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -52,7 +51,7 @@ OPTIONS: Mapping[str, Any] = {
     "objectives": Annotated[list[str], MinLen(1)],
     "constraints": list[str],
     "n_trials": PositiveInt,
-    "n_jobs": PositiveInt | None,
+    "n_jobs": PositiveInt,
     "seeds": Annotated[list[Seed], MinLen(1)] | None,
     "startup": PositiveInt,
     "seed": Annotated[int, Bounds(ge=0, le=2**32 - 1)],
@@ -151,8 +150,8 @@ class OptunaSweeper(Sweeper):
             self.jobs += len(jobs)
 
         history = History(space, options["objectives"], store, ids, self._defaults(space), options["constraints"])
-        plan = Options(options["n_trials"], self._at_once(), options["sampler"], options["startup"], options["seed"])
-        trials = search(history, plan, launch, sweep.stopping)
+        plan = Options(options["n_trials"], options["n_jobs"], options["sampler"], options["startup"], options["seed"])
+        trials = search(history, plan, launch)
         for point, reason in history.rejected.items():
             if reason:
                 sweep.fail(self.jobs, [*fixed, *overrides(space, point)], reason)
@@ -163,10 +162,6 @@ class OptunaSweeper(Sweeper):
         """Option -> its value in a run whose command does not name it."""
         choices = self.config.hydra.runtime.choices
         return {option: str(choices.get(option, OmegaConf.select(self.config, option))) for option in space}
-
-    def _at_once(self) -> int:
-        wanted = self.options["n_jobs"] or self.config.hydra.launcher.get("n_jobs") or 1
-        return int(wanted) if wanted > 0 else os.cpu_count() or 1
 
 
 def values_of(override: Override) -> Choices | Interval:

@@ -6,7 +6,6 @@ The folder works for jobs on any machine that shares the store:
   multirun.yaml    the sweep's configuration, written by Hydra
   failed/3.json    job 3: its overrides and why it failed
   busy/3.json      job 3: its overrides, and the run that another process was training
-  stop             when it exists, jobs stop with a checkpoint and no further job starts
   jobs/            scripts and output of a cluster's jobs
 """
 
@@ -14,9 +13,6 @@ import contextlib
 import copy
 import itertools
 import json
-import os
-import signal
-import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -30,12 +26,10 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from qnerf.building.configuration import Configuration
 from qnerf.cli import compose
-from qnerf.cli.ends import FAILED, INTERRUPTED
 from qnerf.cli.errors import one_line
 from qnerf.records import StoreError, owner, state
 from qnerf.records.files import read_json, replace
 
-STARTER = "QNERF_SWEEP_PID"  # environment variable: id of the process that started parallel jobs, their parent
 COUNTED = 300  # jobs; composing more of them to count different runs takes longer than it is worth
 MAX_JOBS = 100_000  # Hydra lists them all in memory
 RETRY = 5.0  # seconds between two looks at runs that other processes train
@@ -68,13 +62,6 @@ class Sweep:
 
     def not_busy(self, job: int) -> None:
         (self.folder / "busy" / f"{job}.json").unlink(missing_ok=True)
-
-    def stop(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        (self.folder / "stop").touch()
-
-    def stopping(self) -> bool:
-        return (self.folder / "stop").exists()
 
     def _write(self, kind: str, job: int, content: Mapping[str, Any]) -> None:
         path = self.folder / kind / f"{job}.json"
@@ -136,7 +123,7 @@ class Grid(BasicSweeper):
     def _go_back(self, sweep: Sweep, number: int) -> None:
         """Trains the runs that other processes had, as soon as these processes are dead; leaves what they finish."""
         told = False
-        while (busy := sweep.busy_runs()) and not sweep.stopping():
+        while busy := sweep.busy_runs():
             jobs = []
             for run, (job, overrides) in busy.items():
                 if (now := state(run)) != "running":
@@ -262,53 +249,3 @@ class Composer:
 
     def is_group(self, key: str) -> bool:
         return bool(self.loader.get_group_options(key))
-
-
-def stop_together(sweep: Sweep) -> None:
-    """Turns Ctrl-C, SIGTERM and SIGHUP into the stop file that joblib's processes watch; a second one ends at once.
-
-    Otherwise joblib would kill its processes, and Ctrl-C in a terminal would interrupt them anywhere. They inherit the
-    blocked signals of this thread, so another thread has to receive them.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        return
-    requests = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-    requests = {kind for kind in requests if signal.getsignal(kind) is not signal.SIG_IGN}
-    urgent: list[int] = []
-
-    def stop(number: int, _frame: Any) -> None:
-        if number != signal.SIGHUP:  # a closing terminal sends it more than once
-            if urgent:
-                os._exit(INTERRUPTED)
-            urgent.append(number)
-        sweep.stop()
-
-    def receive() -> None:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, requests)
-        threading.Event().wait()
-
-    for kind in requests:
-        signal.signal(kind, stop)
-    signal.pthread_sigmask(signal.SIG_BLOCK, requests)
-    threading.Thread(target=receive, name="qnerf-signals", daemon=True).start()
-
-
-def leave_when_abandoned(working: threading.Lock) -> None:
-    """Ends this process, one of joblib's, once the sweep's process is dead and no job holds `working`.
-
-    Without this, a process that waits for its next job would wait for minutes, and keep the sweep's output open.
-    """
-
-    def watch() -> None:
-        while not is_abandoned():
-            time.sleep(1)
-        with working:
-            os._exit(FAILED)
-
-    threading.Thread(target=watch, name="qnerf-abandoned", daemon=True).start()
-
-
-def is_abandoned() -> bool:
-    """Whether this is one of joblib's processes and the process that started the sweep is dead."""
-    starter = os.environ.get(STARTER, "")
-    return starter.isdecimal() and os.getpid() != int(starter) != os.getppid()

@@ -1,7 +1,6 @@
-"""What happens once, in the process that starts a sweep: its folder, this package's sweepers, Ctrl-C for all jobs."""
+"""What happens once, in the process that starts a sweep: its folder, and this package's sweepers."""
 
 import importlib.util
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from qnerf.cli import sweep as sweeps
 from qnerf.cli.errors import report
-from qnerf.cli.sweep import STARTER, Grid, Sweep, stop_together
+from qnerf.cli.sweep import Grid, Sweep
 
 EXTRAS = {
-    "joblib": ("hydra_plugins.hydra_joblib_launcher", "parallel"),
     "submitit_local": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
     "submitit_slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
     "qnerf_optuna": ("optuna", "search"),
@@ -46,10 +44,7 @@ class SweepStart(Callback):
             config.hydra.sweep.dir = str(sweep.folder)
             config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
         _register(sweeper)
-        if launcher == "joblib":
-            os.environ[STARTER] = str(os.getpid())
-            stop_together(sweep)
-        elif launcher == "submitit_slurm":
+        if launcher == "submitit_slurm":
             print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
 
 

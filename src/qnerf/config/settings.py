@@ -119,15 +119,6 @@ class Visibility:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Occupancy:
-    """Closes cells that turn out to be empty during training."""
-
-    every: NonNegativeInt = 0  # steps between updates; 0: never
-    after: NonNegativeInt = 500  # steps before the first update
-    min_opacity: Annotated[float, Interval(gt=0, lt=1)] = 0.01  # below which a cell counts as empty
-
-
-@dataclass(frozen=True, kw_only=True)
 class Stop:
     """Early stopping, judged by training rays that are held out for validation."""
 
@@ -225,7 +216,6 @@ class Settings(Common):
     render: Render = field(default_factory=Render)
     pose_noise: PoseNoise = field(default_factory=PoseNoise)
     visibility: Visibility = field(default_factory=Visibility)
-    occupancy: Occupancy = field(default_factory=Occupancy)
     stop: Stop = field(default_factory=Stop)
     contraction: dict[str, Any]
     density: dict[str, Any]

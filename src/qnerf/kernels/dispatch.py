@@ -23,7 +23,6 @@ _SPACE = {
     "qnerf.geometry.contraction.CubeContraction": frozenset[str](),
     "qnerf.geometry.contraction.Box": frozenset(["half_extent"]),
     "qnerf.geometry.visibility.SpaceMask": frozenset[str](),
-    "qnerf.model.occupancy.Occupancy": frozenset(["every", "after", "min_opacity"]),
 }
 _NETWORK = {
     "qnerf.encoders.hash.HashEncoder": frozenset(_GRID.split()),

@@ -1,1 +1,1 @@
-"""The trained modules: the field, its occupancy grid, and the whole model."""
+"""The trained modules: the field, and the whole model."""

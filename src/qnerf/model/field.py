@@ -134,10 +134,6 @@ class Field(nn.Module):
         finally:
             self.density_head.train(training)
 
-    def density_anywhere(self, unit: Tensor) -> Tensor:
-        """Unit-cube points (N, 3) -> density (N,) per world unit, ignoring the mask."""
-        return self.activated(self.density_head(self.encoder(unit))[:, 0])
-
     def of_rays(self, directions: Tensor, cameras: Tensor) -> Tensor:
         """Features (R, D + A) that all points of a ray share: its direction's, and the appearance of its view."""
         per_ray = [self.directions(directions)]

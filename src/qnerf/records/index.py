@@ -12,8 +12,7 @@ be written has no index: all runs are read each time.
 import contextlib
 import json
 import os
-import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from pandas.api.types import infer_dtype
 
 from qnerf.config.identity import is_unicode
 from qnerf.records import annotations, read
-from qnerf.records.files import StoreError, read_json, replace, reporting
+from qnerf.records.files import StoreError, read_json, replace
 from qnerf.records.location import existing_store
 from qnerf.records.schemas import RUN_COLUMNS, known_kind
 
@@ -30,7 +29,6 @@ INDEX = Path(".index", "runs.json")  # below a store
 NO_SCENE = "none"
 """The name of the scene of tracked runs that name none."""
 
-_YOUNG_NS = 300 * 10**9
 _CHANGES_WORTH_SAVING = 0.01  # share of the runs; below it, reading them again takes less time than writing the index
 
 Row = dict[str, Any]
@@ -65,38 +63,10 @@ def load(store: str | Path, columns: Sequence[str] | None = None) -> pd.DataFram
     return _frame(root, list(rows.values()), columns)
 
 
-def load_runs(store: str | Path, runs: Iterable[str]) -> pd.DataFrame:
-    """The rows of `load` for these runs alone, read anew: for a reader that knows which ones changed."""
-    root = Path(store)
-    return _frame(root, [row for run in sorted(runs) if (row := _row(root / run)) is not None], None)
-
-
 def scan(root: Path) -> Stamps:
     """The stamps of all runs of a store, sorted by name; empty if there is no store yet."""
     stamps = {folder.name: _stamp(str(folder)) for folder in read.runs(root)}
     return {name: stamp for name, stamp in stamps.items() if stamp}
-
-
-class Watch:
-    """`scan` again and again. Every change of a run renames a file into its folder, so an old folder is not entered."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self._seen: dict[str, tuple[int, str]] = {}  # name -> time of the folder, stamp
-
-    def scan(self) -> Stamps:
-        young = time.time_ns() - _YOUNG_NS  # a file system's clock may tick slowly, or be another machine's
-        seen = {}
-        with reporting(self.root, "read"), os.scandir(self.root) as entries:
-            for entry in entries:
-                with contextlib.suppress(OSError):  # it has gone meanwhile
-                    if not entry.name.startswith(".") and entry.is_dir():
-                        changed = entry.stat().st_mtime_ns
-                        known = self._seen.get(entry.name)
-                        same = known is not None and known[0] == changed < young
-                        seen[entry.name] = known if known and same else (changed, _stamp(entry.path))
-        self._seen = seen
-        return {name: seen[name][1] for name in sorted(seen) if seen[name][1]}
 
 
 def _stamp(folder: str) -> str:

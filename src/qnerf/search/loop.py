@@ -18,12 +18,11 @@ def search(
     history: History,
     options: Options,
     launch: Callable[[Sequence[Point], Sequence[Trial]], None],
-    stopping: Callable[[], bool] = lambda: False,
 ) -> list[Trial]:
     """Trains until there are `options.trials` trials, or the space has no more; returns them.
 
     launch: trains the runs of some points and returns when they have ended, well or not; it also gets the trials so
-        far. stopping: called before each launch. Once it is true, the search ends.
+        far.
 
     Trials that were begun come first. One whose run is still unfinished when it has been launched ends the search,
     unless another process trains it.
@@ -36,7 +35,7 @@ def search(
         raise ValueError(f"unknown sampler {options.sampler!r}; known: {', '.join(SAMPLERS)}")
     while True:
         trials = history.trials()
-        if stopping() or len(history.rejected) >= options.trials:
+        if len(history.rejected) >= options.trials:
             return trials
         require_values(history.objectives, trials)
         begun = [trial.point for trial in trials if trial.state == "unfinished"][: options.at_once]
@@ -47,8 +46,6 @@ def search(
         batch = [point for point in (*begun, *fresh) if history.ids(point)]
         if batch:
             launch(batch, trials)
-        if stopping():
-            continue
         known = {history.result(trial.point): trial for trial in history.trials()}
         for point in batch:
             if history.result(point) not in known:

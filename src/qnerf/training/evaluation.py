@@ -34,13 +34,6 @@ class RenderedView:
     accumulation: Tensor  # (H, W)
     stride: int = 1  # of the rows and columns that were rendered: H and W count these
 
-    def locate(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Coordinates (N, 2) in pixels of the whole view -> row and column in here (N,), and which are inside (N,)."""
-        height, width = self.depth.shape
-        column, row = torch.div(pixels, self.stride, rounding_mode="floor").long().unbind(1)
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        return row.clamp(0, height - 1), column.clamp(0, width - 1), inside
-
 
 Tile = tuple[Tensor, Tensor, Tensor]
 """Of R rays: colours (R, 3) in [0, 1], median depth (R,) in world units, accumulation (R,). On the CPU."""

@@ -16,7 +16,6 @@ from qnerf.geometry.sparse_depths import SparseDepths
 from qnerf.kernels.dispatch import is_plain
 from qnerf.kernels.jit import one_torch_thread
 from qnerf.model.model import Model
-from qnerf.model.occupancy import Occupancy
 from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
@@ -97,9 +96,6 @@ class Loop:
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate * getattr(self.train.rates, group["name"])
 
-    def prepare_step(self) -> None:
-        """What happens before a batch is drawn."""
-
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
         """Draws a batch from the streams; the weighted terms whose sum is minimised."""
         raise NotImplementedError
@@ -119,8 +115,6 @@ class Loop:
         self.watch.begin(measure=measure)
         rate = self.rate
         with one_torch_thread(self.few_products and not is_plain()):
-            with self.watch.stage("sampling"):
-                self.prepare_step()
             terms = self.terms(self.streams, self.step)
             for name, term in terms.items():
                 require_tensor(f"the loss term {name!r}", term, ())
@@ -286,12 +280,6 @@ class Trainer(Loop):
         self.weights = weights_of(settings.train)
         takes_points = "sparse_depth" in self.weights
         self.depths = SparseDepths(table.scene, table.training, table.validation_stride) if takes_points else None
-
-    def prepare_step(self) -> None:
-        """Updates the occupancy, if that is due."""
-        mask = self.model.field.mask
-        if isinstance(mask, Occupancy) and mask.due(self.step):
-            mask.look(self.model.field, self.streams["samples"])
 
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
         with self.watch.stage("sampling"):

@@ -1,1 +1,1 @@
-"""A trained model, looked at: pictures and videos from any camera, point clouds and meshes, the viewer."""
+"""A trained model, looked at: pictures and videos from any camera, point clouds, the viewer."""

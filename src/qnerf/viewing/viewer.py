@@ -1,4 +1,4 @@
-"""The interactive viewer: a page in the browser that shows what a model, or two, see from wherever the user looks.
+"""The interactive viewer: a page in the browser that shows what a model sees from wherever the user looks.
 
 Pictures come in steps: a coarse one at once, which a moving camera keeps replacing, and sharper ones once it is still.
 """
@@ -21,7 +21,7 @@ from qnerf.geometry.camera_paths import Camera, path_json
 from qnerf.records import StoreError
 from qnerf.viewing.frames import Renderer
 from qnerf.viewing.guard import Guard
-from qnerf.viewing.painter import WHAT, Painter, Shown
+from qnerf.viewing.painter import WHAT, Painter
 
 COARSE, MIDDLE = 64, 192  # pixels: widths of the first two pictures
 ASPECT = 4.0
@@ -95,7 +95,7 @@ class Client(threading.Thread):
         def ended() -> bool:
             return stopping() or not self.open
 
-        return self.viewer.painter.picture(self.camera(width), self.viewer.shown(), ended)
+        return self.viewer.painter.picture(self.camera(width), self.viewer.what.value, ended)
 
     def _show(self, picture: NDArray) -> None:
         if self.open:
@@ -127,16 +127,15 @@ def quaternion(pose: NDArray) -> NDArray:
 
 
 class Viewer:
-    """The server of the page, of one run or two runs of one scene. It runs in threads of its own until `stop`.
+    """The server of a run's page. It runs in threads of its own until `stop`.
 
-    width: of the sharpest picture, pixels. ValueError where the port is taken, or the runs are
-    of different scenes.
+    width: of the sharpest picture, pixels. ValueError where the port is taken.
     """
 
-    def __init__(self, renderers: Sequence[Renderer], host: str = "127.0.0.1", port: int = 8080, width: int = 640):
+    def __init__(self, renderer: Renderer, host: str = "127.0.0.1", port: int = 8080, width: int = 640):
         import viser
 
-        self.painter = Painter(renderers)
+        self.painter = Painter(renderer)
         self.painter.reload()
         self.widths = sorted({min(size, width) for size in (COARSE, MIDDLE, width)})
         require_free(host, port)
@@ -157,9 +156,6 @@ class Viewer:
         """Where the page is, with the token that it wants."""
         return self.guard.address(self.server.get_port())
 
-    def shown(self) -> Shown:
-        return Shown(self.what.value, None if self.run.value == "both halves" else self.runs.index(self.run.value))
-
     def stop(self) -> None:
         """Closes the server. Threads have ended on return: one that still draws as Python ends may abort it."""
         self.stopped.set()
@@ -175,24 +171,20 @@ class Viewer:
         gui = self.server.gui
         self.text = gui.add_markdown("")
         self.what = gui.add_dropdown("picture", WHAT)
-        self.runs = [renderer.trained.folder.name for renderer in self.painter.renderers]
-        choices = (*self.runs, "both halves") if len(self.runs) > 1 else tuple(self.runs)
-        self.run = gui.add_dropdown("run", choices, initial_value=choices[-1], visible=len(self.runs) > 1)
         self.cameras = gui.add_checkbox("cameras", True)
-        for control in (self.what, self.run):
-            control.on_update(lambda _: self._changed())
+        self.what.on_update(lambda _: self._changed())
         self.cameras.on_update(lambda _: self._show_cameras())
         with gui.add_folder("camera path"):
             gui.add_button("add this camera").on_click(lambda event: self._of(event).add_key())
             gui.add_button("save for qnerf render").on_click(lambda event: self._of(event).save_path())
-        self._write_text()
+        self.text.content = self.painter.text()
 
     def _of(self, event: Any) -> Client:
         """The client whose user did something."""
         return self.clients[event.client.client_id]
 
     def _add_cameras(self) -> None:
-        scene = self.painter.renderers[0].trained.scene
+        scene = self.painter.renderer.trained.scene
         views = sorted({*scene.train, *scene.eval})
         chosen = [views[index] for index in np.linspace(0, len(views) - 1, min(FRUSTA, len(views))).astype(int)]
         self.frusta = []
@@ -228,7 +220,7 @@ class Viewer:
             client.camera.up_direction = (0.0, 0.0, 1.0)
 
     def _connect(self, client: Any) -> None:
-        scene = self.painter.renderers[0].trained.scene
+        scene = self.painter.renderer.trained.scene
         view = scene.eval[0]
         self._look_from(client, scene.cameras.poses[view].numpy())
         client.camera.fov = 2 * math.atan(float(scene.cameras.cy[view] / scene.cameras.fy[view]))
@@ -246,16 +238,13 @@ class Viewer:
         for client in list(self.clients.values()):
             client.changed()
 
-    def _write_text(self) -> None:
-        self.text.content = "  \n".join(self.painter.texts())
-
     def _follow(self) -> None:
-        """Takes the checkpoints of runs that are being trained as they come."""
+        """Takes the checkpoints of a run that is being trained as they come."""
         while not self.stopped.wait(POLL):
             try:
                 if self.painter.reload():
                     self._changed()
-                self._write_text()
+                self.text.content = self.painter.text()
             except (StoreError, ValueError) as error:  # it is being replaced, or the run was deleted
                 self.text.content = str(error)
 

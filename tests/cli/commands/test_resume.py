@@ -127,8 +127,8 @@ def test_a_scene_that_has_moved_is_named_anew_in_every_command(config, tiny_scen
     assert records.runs(run.parent) == [run]
     for command, *options in (
         ["render", "--frames", "1", "--size", "8x8", "--out", str(tmp_path / "frames")],
-        ["probe", "rays"],
-        ["export", "--to", "points", "--points", "50", "--out", str(tmp_path / "points.ply")],
+        ["probe", "units"],
+        ["export", "--points", "50", "--out", str(tmp_path / "points.ply")],
         ["reproduce"],
     ):
         assert main.dispatch(command, [run.name, *options, *store]) == 2, command

@@ -25,14 +25,14 @@ GROUPS = {
     "look at a trained model": {
         "render": "a video along a path of the camera",
         "view": "look around in the browser, also while it trains",
-        "export": "points or a mesh of a model",
+        "export": "points of a model's surfaces",
     },
     "organise runs": {
         "tag": "add or remove a run's tags, write its note",
         "rm": "delete runs",
     },
     "measure a trained model": {
-        "probe": "finite shots, noisy gates, spectra, encodings, ray samples, dead units",
+        "probe": "finite shots, noisy gates, spectra, encodings, dead units, costs",
     },
     "analyse a store of runs": {
         "serve": "a page in the browser that follows the store while runs train",

@@ -1,4 +1,4 @@
-"""`qnerf export RUN... --to points|mesh`."""
+"""`qnerf export RUN...`: points where the training rays end."""
 
 import argparse
 from pathlib import Path
@@ -16,41 +16,30 @@ _ELSEWHERE = (".obj", ".stl", ".glb", ".gltf", ".fbx")
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Writes the geometry of trained models as PLY files in the coordinates of transforms.json: points where the "
-        "training rays end, or a mesh."
+        "training rays end, with normals and colours."
     )
     add_many_runs(parser, f"; or {STORED}")
-    parser.add_argument("--to", required=True, choices=("points", "mesh"), help="what is written")
     parser.add_argument(
-        "--out", metavar="DIR", help="a folder (default: exports/points or exports/mesh); of one run also NAME.ply"
+        "--out", metavar="DIR", default="exports", help="a folder (default: exports); of one run also NAME.ply"
     )
     parser.add_argument("--points", type=whole(1, MAX_COUNT), metavar="N", help="training rays (default: 1,000,000)")
     parser.add_argument(
         "--within", type=number(0, 1e6, above=True), metavar="R",
         help="largest coordinate in normalised world units, of which the cameras fill 1 (default: 4)",
     )  # fmt: skip
-    parser.add_argument(
-        "--cells", type=whole(2, 4096), metavar="N", help="mesh: of the grid's longest side (default: 192)"
-    )
-    parser.add_argument(
-        "--level", type=number(0, 1e9, above=True), metavar="DENSITY",
-        help="mesh: density of its surface (default: half of the light is absorbed within 5 %% of the longest side)",
-    )  # fmt: skip
 
 
 def main(options: argparse.Namespace) -> None:
-    for name in ("cells", "level"):
-        if getattr(options, name) is not None and options.to != "mesh":
-            raise ValueError(f"--{name} is for mesh")
     names, overrides = split(options.runs)
     folders = [find(name, options.store) for name in names]
     if not folders:
         raise ValueError("expected a run")
 
     from qnerf.training.forecast import announced
-    from qnerf.viewing import ply, surfaces
+    from qnerf.viewing import ply, points
     from qnerf.viewing.frames import Renderer
 
-    out = Path(options.out or f"exports/{options.to}")
+    out = Path(options.out)
     single = out.suffix == ".ply" and not out.is_dir()
     if out.suffix.lower() in _ELSEWHERE:
         raise ValueError(f"--out: expected a folder or NAME.ply, got {printable(out)}; Blender and MeshLab convert PLY")
@@ -59,7 +48,7 @@ def main(options: argparse.Namespace) -> None:
     for folder in folders:
         trained = load_stored(folder, overrides)
         renderer = Renderer(trained)
-        count = options.points or surfaces.RAYS
+        count = options.points or points.RAYS
         pixels = int(trained.scene.cameras.all_sizes[trained.scene.train].prod(1).sum())
         seconds = renderer.evaluator.seconds(min(count, pixels))
         if line := announced(
@@ -67,14 +56,9 @@ def main(options: argparse.Namespace) -> None:
         ):
             print(line, flush=True)
         try:
-            hits = surfaces.ray_ends(renderer, count, options.within or surfaces.WITHIN)
-            if options.to == "points":
-                surface = surfaces.cloud(hits)
-            else:
-                surface = surfaces.mesh(renderer, hits, options.cells or surfaces.CELLS, options.level, print)
+            cloud = points.cloud(points.ray_ends(renderer, count, options.within or points.WITHIN))
         except ValueError as error:
             raise ValueError(f"{folder.name}: {error}") from None
         file = out if single else out / f"{folder.name}.ply"
-        ply.write(file, surfaces.world(trained, surface))
-        triangles = "" if surface.faces is None else f", {len(surface.faces):,} triangles"
-        print(f"{folder.name}: step {trained.step:,}, {len(surface.points):,} points{triangles} -> {printable(file)}")
+        ply.write(file, points.world(trained, cloud))
+        print(f"{folder.name}: step {trained.step:,}, {len(cloud.points):,} points -> {printable(file)}")

@@ -4,12 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
+from qnerf.analysis.selection import label, refuse_mixtures, select
+from qnerf.analysis.tables.seeds import aggregate, mean_and_spread
+from qnerf.analysis.tables.table import Table
 
 from qnerf.metrics import metric_of
-
-from ..selection import label, refuse_mixtures, select
-from ..tables.seeds import aggregate, mean_and_spread
-from ..tables.table import Table
 
 SETTING = "paper: one run of one seed per row, nerfstudio's poster capture at 36 x 64, 30,000 steps"
 _SETTINGS = ("scene_name", "encoder", "hash", "train", "train.steps", "train.rays")

@@ -1,9 +1,11 @@
+"""The paper's tables with our runs beside them."""
+
 import pytest
 from qnerf.analysis.load import runs
-from qnerf.analysis.paper import PAPER_TABLES, rgb_predictors
-from qnerf.analysis.paper.joined import printed
-from qnerf.analysis.tables.__main__ import main
 
+from docs.tools.paper.__main__ import main
+from docs.tools.paper.joined import printed
+from docs.tools.paper.tables import PAPER_TABLES, rgb_predictors
 from tests.helpers.packed_stores import write_run
 
 
@@ -65,7 +67,7 @@ def test_every_table_of_the_paper_draws_without_a_run_of_its_own(store, key, cap
     assert table.title == title
     assert table.text["seeds"].unique().tolist() == ["0"]
     assert len(table.text) == len(printed(key))
-    main([str(store), "--paper", key, "--format", "latex"])
+    main([key, str(store), "--format", "latex"])
     assert r"\bottomrule" in capsys.readouterr().out
 
 

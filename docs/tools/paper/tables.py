@@ -7,9 +7,9 @@ shows both. Our runs are matched by architecture and count, never by the label.
 from collections.abc import Callable, Sequence
 
 import pandas as pd
+from qnerf.analysis.selection import label
+from qnerf.analysis.tables.table import Table
 
-from ..selection import label
-from ..tables.table import Table
 from .joined import joined, printed, side_by_side
 
 
