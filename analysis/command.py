@@ -46,8 +46,8 @@ def add_columns(parser: argparse.ArgumentParser) -> None:
     """What says what the columns are where STORE is a table of another program; `chosen` reads it."""
     group = parser.add_argument_group(
         "runs of other programs",
-        "STORE may be a .csv or .parquet file with a row a run (such as an export of W&B, or "
-        "mlflow.search_runs().to_csv()). What each column is, is guessed and said; these options say it instead.",
+        "STORE may be a .csv or .parquet file with a row a run (such as an export of W&B), a store of MLflow, or a "
+        "database of Trackio. What each column is, is guessed and said; these options say it instead.",
     )
     for name, what in COLUMNS.items():
         several = name in ("metrics", "settings")

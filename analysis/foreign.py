@@ -1,10 +1,14 @@
-"""Runs that other programs wrote: any table with a row a run.
+"""Runs that other programs wrote: any table with a row a run, an MLflow store, a Trackio database.
 
 What a column is, a setting, a metric or the seed, is known or guessed, said in one line, and declared: metrics join
 `METRICS`, settings `selection.NAMED`, and a column that names the scene is one more alias of `scene_name`.
 """
 
+import contextlib
+import json
+import os
 import re
+import sqlite3
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -19,7 +23,7 @@ from qnerf.records.files import one_line
 
 from .selection import NAMED
 
-TABLES = (".csv", ".parquet")
+TABLES, DATABASES = (".csv", ".parquet"), (".db", ".sqlite", ".sqlite3")
 SCENES = ("scene_name", "scene", "dataset")
 """Columns that name what is learnt; runs of different ones are never averaged."""
 _SEED = re.compile(r"(.*[._/ ])?(seed|random_seed|random_state|rng_seed|replicate|repeat)", re.IGNORECASE)
@@ -34,10 +38,11 @@ _FINISHED, _RUNNING = ("finished", "completed", "complete", "done", "success"), 
 
 
 def is_foreign(store: object) -> bool:
-    """Whether it is a frame or a table, and no folder of runs."""
+    """Whether it is a frame, a table, a database or an MLflow folder, and no folder of runs."""
     if isinstance(store, pd.DataFrame):
         return True
-    return Path(str(store)).suffix in TABLES
+    path = Path(str(store))
+    return path.suffix in (*TABLES, *DATABASES) or any(path.glob("*/meta.yaml"))
 
 
 def read(
@@ -50,13 +55,14 @@ def read(
 ) -> pd.DataFrame:
     """The frame of `load.runs` for runs of another program; prints to standard error what each column is taken for.
 
-    store: a frame, a .csv or a .parquet file. metrics, settings, seed, scene: columns; what is None is guessed. Metrics
-    are then the numbers that differ where all settings are equal, and the first one is what verdicts are about.
+    store: a frame, a .csv or .parquet file, a database of Trackio or MLflow, or MLflow's folder. A metric that is
+    logged over steps has its last value. metrics, settings, seed, scene: columns; what is None is guessed. Metrics are
+    then the numbers that differ where all settings are equal, and the first one is what verdicts are about.
 
     Raises:
         ValueError: it cannot be read, has no such column, or no metric.
     """
-    table, name = _table(store)
+    table, known, name = _table(store)
     given = [*(metrics or ()), *(settings or ()), *filter(None, [seed, scene])]
     for column in given:
         filters.check_column(column, table.columns)
@@ -67,7 +73,7 @@ def read(
     copies = table.duplicated([column for column in table if column in columns or column == scene]) & bool(seed)
     table = table[~copies].reset_index(drop=True)  # a run that counts twice would look like another seed
     others = [column for column in columns if column not in (seed, scene)]
-    metrics = list(metrics or _metrics(table, others, settings, seed, scene))
+    metrics = list(metrics or known or _metrics(table, others, settings, seed, scene))
     if not metrics:
         raise ValueError(
             f"{name}: no number differs between runs of equal settings; --metrics names results, of {_list(others)}"
@@ -97,17 +103,74 @@ def read(
     return frame.assign(path=[str(Path(name) / run) for run in frame["run_id"]], tags=None, note=None)
 
 
-def _table(store: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    """The table, and the name of the store."""
+def _table(store: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, list[str], str]:
+    """The table, its metrics where the program says them, and the name of the store."""
     if isinstance(store, pd.DataFrame):
-        return store.reset_index(drop=True), "table"
+        return store.reset_index(drop=True), [], "table"
     path, name = Path(store), str(store)
     try:
         if not path.exists():
             raise ValueError("no such file")
-        return pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path), name
-    except (OSError, ValueError) as error:
+        if path.suffix in TABLES:
+            return pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path), [], name
+        if path.is_dir() or _has(path, "latest_metrics"):
+            return *_mlflow(path), name
+        if _has(path, "configs"):
+            return *_trackio(path), name
+    except (OSError, ValueError, sqlite3.Error) as error:
         raise ValueError(f"{name}: {one_line(error)}") from error
+    raise ValueError(f"{name}: expected a database of MLflow or Trackio")
+
+
+def _has(path: Path, table: str) -> bool:
+    with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
+        return bool(list(database.execute("SELECT 1 FROM sqlite_master WHERE name = ?", [table])))
+
+
+def _mlflow(path: Path) -> tuple[pd.DataFrame, list[str]]:
+    try:
+        from mlflow import MlflowClient  # type: ignore[import-not-found]
+    except ImportError:
+        raise ValueError("a store of MLflow is read by MLflow: pip install mlflow") from None
+    os.environ.setdefault("MLFLOW_ALLOW_FILE_STORE", "true")
+    address = path.absolute()
+    client = MlflowClient(address.as_uri() if path.is_dir() else f"sqlite:///{address}")
+    found = client.search_experiments()
+    experiments = {one.experiment_id: one.name for one in found}
+    runs, token = [], None
+    while True:
+        page = client.search_runs(list(experiments), max_results=1000, page_token=token)
+        runs += [*page]
+        if (token := page.token) is None:
+            break
+    rows = [
+        {"run_id": one.info.run_id, "state": one.info.status, "scene_name": experiments[one.info.experiment_id]}
+        | one.data.params
+        | one.data.metrics
+        for one in runs
+    ]
+    return _numbers(pd.DataFrame(rows)), list(dict.fromkeys(key for one in runs for key in one.data.metrics))
+
+
+def _trackio(path: Path) -> tuple[pd.DataFrame, list[str]]:
+    with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
+        configs = {name: json.loads(text) for name, text in database.execute("SELECT run_name, config FROM configs")}
+        logged = list(database.execute("SELECT run_name, metrics FROM metrics ORDER BY id"))
+    last: dict[str, dict[str, float]] = {}
+    for name, text in logged:
+        values = {key: value for key, value in json.loads(text).items() if isinstance(value, (int, float))}
+        last[name] = last.get(name, {}) | values
+    rows = [{"run_id": name, **configs.get(name, {}), **values} for name, values in last.items()]
+    return _numbers(pd.DataFrame(rows)), list(dict.fromkeys(key for values in last.values() for key in values))
+
+
+def _numbers(table: pd.DataFrame) -> pd.DataFrame:
+    """Trackers keep parameters as text: those that are numbers in all runs become numbers."""
+    for name in table.select_dtypes(exclude="number"):
+        numbers = pd.to_numeric(table[name], errors="coerce")
+        if name != "run_id" and numbers.notna().sum() == table[name].notna().sum():
+            table[name] = numbers
+    return table
 
 
 def _metrics(

@@ -28,8 +28,7 @@ HEAD = """\
 
 How far each part is from float64, on ordinary and on hard inputs. `python -m benchmarks.accuracy` writes this page and
 `benchmarks/results/accuracy.parquet`, which has every case. The same cases and bounds are tests
-(`python -m pytest tests/numerics`), in which hypothesis also searches for worse inputs. Contraction, rotations, lens
-and view directions are there alone.
+(`python -m pytest tests/numerics`), in which hypothesis also searches for worse inputs.
 
 - **error**: the largest difference from the float64 reference over all cases of a part, relative to the largest value.
 - **gradient**: the same for the gradients of the output's dot product with fixed random numbers.

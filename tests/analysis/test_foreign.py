@@ -1,5 +1,8 @@
 """Tables of runs that other programs wrote."""
 
+import json
+import sqlite3
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -75,6 +78,8 @@ def test_a_table_goes_through_tables_figures_report_and_page(table, tmp_path, ca
     tables([str(file), *judged, "--format", "csv"])
     shown = capsys.readouterr().out.splitlines()
     assert len(shown) == 9
+    tables([str(file), "--smallest", "--within", "0.1", "--size", "width"])
+    assert "kan, 8" in capsys.readouterr().out
     draw([str(file), "forest", "--out", str(tmp_path), "--formats", "png", *judged])
     assert (tmp_path / "forest.png").exists()
     report([str(file), "--out", str(tmp_path / "page.html"), *judged, "--within", "0.1"])
@@ -86,11 +91,32 @@ def test_a_table_goes_through_tables_figures_report_and_page(table, tmp_path, ca
     assert live.differences("", "", "model=mlp,width=8", "val/acc").table.text["verdict"].str.startswith("better").any()
 
 
-def test_what_is_no_table_is_refused_in_a_line(tmp_path):
+def test_trackio_keeps_runs_in_a_database(table, tmp_path, capsys):
+    file = tmp_path / "project.db"
+    with sqlite3.connect(file) as database:
+        database.execute("CREATE TABLE configs (run_name TEXT, config TEXT)")
+        database.execute("CREATE TABLE metrics (id INTEGER, run_name TEXT, metrics TEXT)")
+        for row in table[table["dataset"] == "wine"].to_dict("records"):
+            config = {"model": row["model"], "width": str(row["width"]), "seed": row["my.seed"], "_Group": None}
+            database.execute("INSERT INTO configs VALUES (?, ?)", [row["Name"], json.dumps(config)])
+            for number, value in enumerate((0.0, row["val.acc"])):
+                logged = [number, row["Name"], json.dumps({"acc": value, "note": "text"})]
+                database.execute("INSERT INTO metrics VALUES (?, ?, ?)", logged)
+    frame = load.runs(file)
+    assert "16 runs; settings model, width; seed seed; metrics acc" in capsys.readouterr().err
+    np.testing.assert_array_equal(frame["acc"], table.loc[table["dataset"] == "wine", "val.acc"])
+
+
+def test_what_is_no_table_is_refused_in_a_line(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"a\.csv: no such file"):
         load.runs(tmp_path / "a.csv")
-    (tmp_path / "b.parquet").write_bytes(b"PAR1")
-    with pytest.raises(ValueError, match=r"b\.parquet: "):
-        load.runs(tmp_path / "b.parquet")
+    sqlite3.connect(tmp_path / "b.db").close()
+    with pytest.raises(ValueError, match=r"b\.db: expected a database of MLflow or Trackio"):
+        load.runs(tmp_path / "b.db")
+    (tmp_path / "mlruns" / "0").mkdir(parents=True)
+    (tmp_path / "mlruns" / "0" / "meta.yaml").touch()
+    monkeypatch.setitem(__import__("sys").modules, "mlflow", None)
+    with pytest.raises(ValueError, match="pip install mlflow"):
+        load.runs(tmp_path / "mlruns")
     with pytest.raises(ValueError, match="seed: a store of qnerf knows this"):
         load.runs(tmp_path, seed="seed")

@@ -7,11 +7,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, rounded
+from benchmarks.accuracy_cases.geometry import CONTRACTION_GRADIENT
 from qnerf.geometry.contraction import ORDERS, contract
 
-CONTRACTION_GRADIENT = 16 * EPS
-"""Relative to the largest derivative at the same point, about 1 / |x|. The radial one, 1 / |x|^2, is the difference of
-two of that size: on its own it loses a factor |x|, which is little beside what the others bring into any product."""
 EACH_ORDER = pytest.mark.parametrize("order", ORDERS)
 ULPS = st.integers(-4, 4).map(lambda steps: 1 + steps * EPS / 2)
 SIZES = ULPS | st.floats(0, 30).map(lambda power: 10.0**power) | st.floats(0, 2)

@@ -8,13 +8,12 @@ import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
 
-from benchmarks.accuracy_cases import EPS, rounded
+from benchmarks.accuracy_cases import rounded
+from benchmarks.accuracy_cases.geometry import HARMONICS
 from qnerf.encoders import spherical_harmonics
 from qnerf.encoders.directions import harmonics_reference
 from qnerf.kernels.dispatch import report
 
-HARMONICS = 8 * EPS
-"""Relative to the largest: at most five products and sums with a rounded constant each."""
 AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3)
 
 

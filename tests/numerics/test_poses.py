@@ -9,14 +9,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, rounded
+from benchmarks.accuracy_cases.geometry import MOTION, ROTATION
 from qnerf.geometry.rotations import exp_se3, exp_so3, exp_so3xr3
 from tests.helpers.hard_inputs import seeds
 
-ROTATION = 8 * EPS
-"""Of the entries of a rotation matrix, and of its product with its transpose: sine and cosine parts of two roundings
-each, K^2 of three, their sum."""
-MOTION = 16 * EPS
-"""Relative to the largest entry: a rotation's, and the product of the left Jacobian with the translation."""
 ANGLE_GRADIENTS = 1e-4
 """Relative to the largest derivative, up to a turn: what is asked for."""
 TURNS = 2 * EPS

@@ -1,0 +1,122 @@
+"""How often a verdict is wrong, and how often it decides: `python -m benchmarks.coverage`.
+
+Takes the run means of every pair of configurations of the same scene in docs/results/seeds (ten seeds), and draws
+experiments from them: the seeds' own spreads, skewness and tails. A tenth of one side's runs may be lower by 3 dB (it
+slips) or by 6 dB (it collapses). The typical runs, trimmed means of what is drawn from, differ by a true difference.
+`wrong` is a false sign or a false equivalence, `decided` is a verdict other than "undecided". Compared are tables of 3
+to 20 seeds, which look once, and `qnerf decide`, which looks several times.
+
+`luck` is the standard deviation of a validation score around the quality of a trial, in dB, where each side was
+searched first: 12 trials whose qualities have a standard deviation of 0.3 dB, the best three scored twice more. `wrong`
+is then about the two configurations that were chosen, `wrong_heads` about heads that are alike in what a search can
+find.
+
+Prints the table and saves it in benchmarks/results/coverage.parquet.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from qnerf.analysis import load
+from qnerf.analysis.decide.looks import MOST, shares
+from qnerf.analysis.verdict import Verdict, evaluations, trimmed, verdict
+
+RESULTS = Path(__file__).parent / "results" / "coverage.parquet"
+SEEDS_PACK = Path(__file__).parents[1] / "docs" / "results" / "seeds"
+CONFIGURATION = ["scene_name", "field", "density.mlp.init", "color.mlp.init", "color.directions"]
+WITHIN = 0.5
+DROPS = {"as measured": 0.0, "a tenth of one side slips": 3.0, "a tenth of one side collapses": 6.0}
+"""Kind of runs -> by how many dB a tenth of one side is lower."""
+TRIALS, QUALITY = 12, 0.3
+
+Draw = Callable[[int], np.ndarray]
+
+
+def pairs(store: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The run means of every two configurations of a scene."""
+    runs = load.runs(store, "state=finished")
+    means = evaluations(runs).mean(axis=1)
+    keys = [key for key in CONFIGURATION if key in runs]
+    groups = [(key[0], means[own["path"]].to_numpy()) for key, own in runs.groupby(keys, dropna=False)]
+    return [(one[1], two[1]) for one, two in combinations(groups, 2) if one[0] == two[0]]
+
+
+def population(values: np.ndarray, drop: float) -> np.ndarray:
+    """What runs are drawn from: the values, of which a tenth is lower by `drop` dB; their trimmed mean is 0."""
+    found = np.sort(np.r_[np.tile(values, 9), values - drop])
+    return found - trimmed(found)[0]
+
+
+def searched(random: np.random.Generator, luck: float) -> float:
+    """The quality of the trial that a search of `TRIALS` chooses, dB."""
+    quality = random.normal(0, QUALITY, TRIALS)
+    best = np.argsort(quality + random.normal(0, luck, TRIALS))[-3:]
+    return float(quality[best][np.argmax(quality[best] + random.normal(0, luck / 2**0.5, 3))])
+
+
+def single(one: Draw, two: Draw, seeds: int) -> tuple[Verdict, int]:
+    return verdict(one(seeds), two(seeds), WITHIN, metric="psnr"), seeds
+
+
+def several(one: Draw, two: Draw) -> tuple[Verdict, int]:
+    """What `qnerf decide` finds, and after how many seeds a side."""
+    values = one(MOST), two(MOST)
+    for count, alpha in shares().items():
+        found = verdict(values[0][:count], values[1][:count], WITHIN, alpha=alpha)
+        if found.kind != "undecided":
+            break
+    return found, count
+
+
+def rows(measured: list[tuple[np.ndarray, np.ndarray]], experiments: int) -> Iterator[dict[str, object]]:
+    """A row a method, kind of runs, luck and true difference in dB: shares of wrong and decided verdicts, mean
+    number of seeds a side."""
+    random = np.random.default_rng(0)
+    decide = "qnerf decide, up to 20 seeds"
+    methods: dict[str, Callable[[Draw, Draw], tuple[Verdict, int]]] = {decide: several}
+    methods |= {f"one look, {n} seeds": (lambda one, two, n=n: single(one, two, n)) for n in (3, 5, 10, 20)}
+    asked = [(name, "as measured", None, true) for name in methods for true in (0.0, 0.3, WITHIN, 1.0, 2.0)]
+    asked += [("one look, 10 seeds", runs, None, true) for runs in list(DROPS)[1:] for true in (0.0, WITHIN, -WITHIN)]
+    asked += [
+        (decide, runs, luck, true)
+        for runs in DROPS
+        for luck in (None, 0.0, 0.3, 1.0)
+        for true in (0.0, WITHIN, -WITHIN)
+    ]
+    for name, runs, luck, true in dict.fromkeys(asked):
+        counts = np.zeros(4)
+        populations = [(population(one, 0.0), population(two, DROPS[runs])) for one, two in measured]
+        for number in range(experiments):
+            one, two = populations[number % len(measured)]
+            actual = true if luck is None else true + searched(random, luck) - searched(random, luck)
+            found, used = methods[name](
+                lambda n, one=one: random.choice(one, n), lambda n, two=two, shift=actual: random.choice(two, n) + shift
+            )
+            counts += wrong(found, actual), wrong(found, true), found.kind != "undecided", used
+        shares = dict(zip(("wrong", "wrong_heads", "decided", "seeds"), counts / experiments, strict=True))
+        yield {"method": name, "runs": runs, "luck": luck, "true": true, "experiments": experiments} | shares
+
+
+def wrong(found: Verdict, true: float) -> bool:
+    """Whether a verdict contradicts a true difference."""
+    return {"better": true <= 0, "worse": true >= 0, "equivalent": abs(true) >= WITHIN}.get(found.kind, False)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--store", type=Path, default=SEEDS_PACK, help="runs with many seeds; default: %(default)s")
+    parser.add_argument("--experiments", type=int, default=2000, help="for each row; default: %(default)s")
+    options = parser.parse_args()
+    table = pd.DataFrame(rows(pairs(options.store), options.experiments))
+    table.to_parquet(RESULTS, index=False)
+    values = ["wrong", "wrong_heads", "decided", "seeds"]
+    shown = table.fillna({"luck": -1}).pivot(index=["method", "runs", "luck"], columns="true", values=values)
+    print(shown.to_string(float_format="{:.3f}".format))
+
+
+if __name__ == "__main__":
+    main()
