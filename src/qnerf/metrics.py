@@ -8,7 +8,16 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-__all__ = ["HEAD_PARAMETERS", "METRICS", "Metric", "declare", "image_metrics", "metric_of", "quality_metrics"]
+__all__ = [
+    "HEAD_PARAMETERS",
+    "METRICS",
+    "OCTAVES",
+    "Metric",
+    "declare",
+    "image_metrics",
+    "metric_of",
+    "quality_metrics",
+]
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,9 @@ class Metric:
 
 HEAD_PARAMETERS = ("params.density", "params.color", "params.head")
 """Columns with the parameters of a run's heads: two of a radiance field, one of a signal."""
+
+OCTAVES = tuple(f"error_octave_{number}" for number in range(1, 9))
+"""Keys of the error in each octave of spatial frequency, the lowest first; see `image_metrics.octave_errors`."""
 
 COLORLESS = 0.25
 """Explained variance of held-out colours below which a run is colourless: it shows one colour, or nothing."""
@@ -119,6 +131,18 @@ for _metric in (
     ),
     Metric("depth_error", "depth error", "", 3, "lower", "image", "mean of |depth - truth| / the larger", within=0.01),
     Metric("depth_error_median", "median depth error", "world units", 3, "lower", "image", "median of |depth - truth|"),
+    *(
+        Metric(
+            key,
+            f"error in octave {number}",
+            "",
+            better="lower",
+            kind="image",
+            explanation=f"of the truth's energy at {2 ** (number - 1)} to {2**number} cycles a side",
+            on_request=True,
+        )
+        for number, key in enumerate(OCTAVES, 1)
+    ),
     Metric(
         "psnr_unseen", "PSNR of unseen pixels", "dB", 2, "higher", "signal", "pixels kept out of training", within=0.5
     ),
