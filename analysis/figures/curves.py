@@ -1,4 +1,4 @@
-"""What happens during training: losses against steps."""
+"""What happens during training: losses, and errors in octaves of frequency."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,9 +8,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from qnerf.metrics import OCTAVES
+
 from .. import style
 from ..load import metrics
-from ..selection import select
+from ..selection import main_metric, select
 from . import points
 
 MOST = 6  # configurations in one panel
@@ -52,22 +54,73 @@ def loss_curves(frame: pd.DataFrame, most: int = MOST) -> Figure:
     return figure
 
 
-def _best(frame: pd.DataFrame, most: int) -> tuple[pd.DataFrame, str]:
-    """`points.best` of the runs that have logged `train/mse`, readably, and a note on names and on what is left out.
+def octave_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
+    """Error in each octave of frequency against steps and CPU seconds, of the `most` best configurations of each scene.
+
+    Columns step, cpu_s (step times the mean CPU time of a step), n, error (geometric mean over seeds), error_low and
+    error_high (one standard deviation of its logarithm; NaN for one seed), octave, scene_name, name.
+    """
+    table, _ = _best(frame, most, *_octaves(frame))
+    curves = []
+    for _, row in table.iterrows():
+        seconds = frame["step_cpu_ms"][row["runs"]].mean() / 1000
+        for octave, key in enumerate(OCTAVES, 1):
+            logged = [metrics(path, f"eval/{key}") for path in frame["path"][row["runs"]]]
+            curve = _over_seeds([rows.assign(value=np.log10(rows["value"].clip(lower=1e-12))) for rows in logged])
+            mean, std = curve["value"], curve["value_std"]
+            errors = {"error": mean, "error_low": mean - std, "error_high": mean + std}
+            curve = curve[["step", "n"]].assign(**{key: 10**value for key, value in errors.items()})
+            curves.append(curve.assign(cpu_s=curve["step"] * seconds, octave=octave, **row[["scene_name", "name"]]))
+    return pd.concat(curves, ignore_index=True)
+
+
+@style.styled
+def octave_errors(frame: pd.DataFrame, most: int = MOST) -> Figure:
+    """Error in each octave, a panel each, against steps and, below, against CPU seconds; a line a configuration."""
+    curves, (table, notes) = octave_points(frame, most), _best(frame, most, *_octaves(frame))
+    octaves, scenes = sorted(curves["octave"].unique()), points.scenes(table)
+    names = list(dict.fromkeys(table["name"]))
+    looks = [{"color": color, "ls": dash} for dash in ("-", "--") for color in style.PALETTE]
+    figure = style.new(style.PAGE, 3.0 * len(scenes))
+    axes = figure.subplots(2 * len(scenes), len(octaves), sharey=True, sharex="row", squeeze=False)
+    for line, (scene, x) in zip(axes, [(scene, x) for scene in scenes for x in ("step", "cpu_s")], strict=True):
+        for ax, octave in zip(line, octaves, strict=True):
+            own = curves[(curves["scene_name"] == scene) & (curves["octave"] == octave)]
+            for (name, part), look in zip(own.groupby("name"), looks, strict=False):
+                look = looks[names.index(name) % len(looks)]
+                ax.plot(part[x], part["error"], label=name, **look)
+                ax.fill_between(part[x], part["error_low"], part["error_high"], color=look["color"], alpha=0.18, lw=0)
+            ax.set(xscale="log", yscale="log")
+            if x == "step":
+                ax.set_title(f"{scene}\n{2 ** (octave - 1)} to {2**octave} cycles")
+        line[0].set_ylabel("error")
+        line[len(octaves) // 2].set_xlabel({"step": "optimisation step", "cpu_s": "training, CPU s"}[x])
+    style.legend(figure)
+    what = "energy of the error over energy of the truth in an octave of cycles a side"
+    style.footnote(figure, what, points.seeds(table, "bands"), notes)
+    return figure
+
+
+def _octaves(frame: pd.DataFrame) -> tuple[str, str]:
+    return f"eval/{OCTAVES[0]}", main_metric(frame)
+
+
+def _best(frame: pd.DataFrame, most: int, logged: str = "train/mse", metric: str = "psnr") -> tuple[pd.DataFrame, str]:
+    """`points.best` of the runs that have logged a key, readably, and a note on names and on what is left out.
 
     ValueError with the reason if none has.
     """
-    selection = select(frame)
+    selection = select(frame, metric)
     problems: dict[str, str] = {}
     for path in selection.runs["path"]:
         try:
-            if metrics(path, "train/mse").empty:
-                problems[path] = f"{path}: has not logged train/mse"
+            if metrics(path, logged).empty:
+                problems[path] = f"{path}: has not logged {logged}"
         except ValueError as error:
             problems[path] = str(error)
     if len(problems) == len(selection.runs):
         raise ValueError(next(iter(problems.values())))
-    table, rest = points.best(selection.runs[~selection.runs["path"].isin(list(problems))], ["psnr"], most)
+    table, rest = points.best(selection.runs[~selection.runs["path"].isin(list(problems))], [metric], most)
     damaged = f"left out: {len(problems)} with missing or damaged metrics" if problems else ""
     return table, "; ".join(filter(None, [rest, damaged, points.notation(table["name"]), selection.note]))
 

@@ -7,6 +7,7 @@ from string import ascii_lowercase
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
 from qnerf.records.schemas import LABELS
 
 from ..selection import CIRCUITS, QUANTUM, settings
@@ -33,7 +34,9 @@ def best(runs: pd.DataFrame, values: Sequence[str], most: int) -> tuple[pd.DataF
     table = _grouped(runs, values, ())
     shown = table.groupby("scene_name", dropna=False).head(most).reset_index(drop=True)
     left = len(table) - len(shown)
-    return shown.assign(name=names(shown, runs)), f"not drawn: {left} configurations of lower PSNR" if left else ""
+    return shown.assign(
+        name=names(shown, runs)
+    ), f"not drawn: {left} configurations of lower {metric_of(values[0]).label}" if left else ""
 
 
 def families(table: pd.DataFrame, runs: pd.DataFrame, x: str, ignored: Sequence[str]) -> pd.DataFrame:

@@ -83,17 +83,6 @@ def test_samples_and_weights_along_a_ray_are_the_probe_s(probed):
         figures.sampling_strategies(probed, 5)
 
 
-def test_encodings_are_drawn_channel_by_channel(probed):
-    slices = figures.encoding_slices(probed)
-    assert list(slices) == [("pe", False), ("rff", False), ("hash", True), ("sh", False)]
-    figure = figures.encoding_channels(probed)
-    drawn = [ax.images[0].get_array() for ax in figure.axes]
-    np.testing.assert_array_equal(np.stack(drawn), np.concatenate(list(slices.values())))
-    table = pd.read_parquet(f"{probed}/encoding.parquet")
-    cell = table[(table["encoder"] == "hash") & (table["row"] == 3) & (table["column"] == 5)]
-    assert slices["hash", True][2][3, 5] == cell["channel_2"].item()
-
-
 def test_the_spectrum_shows_each_share_of_variance(probed):
     table = figures.spectrum_points(probed)
     assert table["share"].between(-1e-9, 1 + 1e-9).all()

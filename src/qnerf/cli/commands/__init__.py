@@ -32,7 +32,7 @@ GROUPS = {
         "rm": "delete runs",
     },
     "measure a trained model": {
-        "probe": "finite shots, noisy gates, spectra, encodings, ray samples, dead units",
+        "probe": "finite shots, noisy gates, spectra, ray samples, dead units",
     },
     "analyse a store of runs": {
         "serve": "a page in the browser that follows the store while runs train",
