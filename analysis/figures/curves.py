@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from qnerf.metrics import OCTAVES
 
@@ -17,6 +17,7 @@ from . import points
 
 MOST = 6  # configurations in one panel
 BINS = 50  # points of a training curve
+LEAST = 1e-4  # error in an octave that is drawn
 
 
 def loss_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
@@ -78,34 +79,37 @@ def octave_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
 def octave_errors(frame: pd.DataFrame, most: int = MOST) -> Figure:
     """Error in each octave, a panel each, against steps and, below, against CPU seconds; a line a configuration."""
     curves, (table, notes) = octave_points(frame, most), _best(frame, most, *_octaves(frame))
-    octaves, scenes = sorted(curves["octave"].unique()), points.scenes(table)
-    names = list(dict.fromkeys(table["name"]))
+    octaves, names, scenes = sorted(curves["octave"].unique()), sorted(table["name"].unique()), points.scenes(table)
     looks = [{"color": color, "ls": dash} for dash in ("-", "--") for color in style.PALETTE]
     figure = style.new(style.PAGE, 3.0 * len(scenes))
     axes = figure.subplots(2 * len(scenes), len(octaves), sharey=True, sharex="row", squeeze=False)
-    for line, (scene, x) in zip(axes, [(scene, x) for scene in scenes for x in ("step", "cpu_s")], strict=True):
+    kinds = [(scene, *x) for scene in scenes for x in (("step", "step"), ("cpu_s", "CPU s"))]
+    for line, (scene, x, heading) in zip(axes, kinds, strict=True):
         for ax, octave in zip(line, octaves, strict=True):
-            own = curves[(curves["scene_name"] == scene) & (curves["octave"] == octave)]
-            for (name, part), look in zip(own.groupby("name"), looks, strict=False):
+            shown = curves[(curves["scene_name"] == scene) & (curves["octave"] == octave)]
+            for name, part in shown.groupby("name"):
                 look = looks[names.index(name) % len(looks)]
                 ax.plot(part[x], part["error"], label=name, **look)
                 ax.fill_between(part[x], part["error_low"], part["error_high"], color=look["color"], alpha=0.18, lw=0)
-            ax.set(xscale="log", yscale="log")
-            if x == "step":
-                ax.set_title(f"{scene}\n{2 ** (octave - 1)} to {2**octave} cycles")
-        line[0].set_ylabel("error")
-        line[len(octaves) // 2].set_xlabel({"step": "optimisation step", "cpu_s": "training, CPU s"}[x])
+            ax.set(title=f"{2 ** (octave - 1)} to {2**octave} cycles", xlabel=heading, xscale="log", yscale="log")
+            ax.xaxis.set_major_formatter(style.PLAIN)
+            ax.xaxis.set_minor_formatter(NullFormatter())
+            ax.yaxis.set_major_locator(LogLocator(100))
+        line[0].set_ylabel(f"{scene}: error")
+    axes[0, 0].set_ylim(bottom=max(LEAST, curves["error"].min() / 2))
     style.legend(figure)
-    what = "energy of the error over energy of the truth in an octave of cycles a side"
+    what = "error: its energy over the truth's, in an octave of cycles a side"
     style.footnote(figure, what, points.seeds(table, "bands"), notes)
     return figure
 
 
-def _octaves(frame: pd.DataFrame) -> tuple[str, str]:
-    return f"eval/{OCTAVES[0]}", main_metric(frame)
+def _octaves(frame: pd.DataFrame) -> tuple[str, str, Sequence[str]]:
+    return f"eval/{OCTAVES[0]}", main_metric(frame), ["field"]
 
 
-def _best(frame: pd.DataFrame, most: int, logged: str = "train/mse", metric: str = "psnr") -> tuple[pd.DataFrame, str]:
+def _best(
+    frame: pd.DataFrame, most: int, logged: str = "train/mse", metric: str = "psnr", never: Sequence[str] = ()
+) -> tuple[pd.DataFrame, str]:
     """`points.best` of the runs that have logged a key, readably, and a note on names and on what is left out.
 
     ValueError with the reason if none has.
@@ -120,7 +124,7 @@ def _best(frame: pd.DataFrame, most: int, logged: str = "train/mse", metric: str
             problems[path] = str(error)
     if len(problems) == len(selection.runs):
         raise ValueError(next(iter(problems.values())))
-    table, rest = points.best(selection.runs[~selection.runs["path"].isin(list(problems))], [metric], most)
+    table, rest = points.best(selection.runs[~selection.runs["path"].isin(list(problems))], [metric], most, never)
     damaged = f"left out: {len(problems)} with missing or damaged metrics" if problems else ""
     return table, "; ".join(filter(None, [rest, damaged, points.notation(table["name"]), selection.note]))
 

@@ -5,6 +5,7 @@ Tables, figures, the report and the command line read `METRICS`. A metric of hel
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -17,6 +18,7 @@ __all__ = [
     "image_metrics",
     "metric_of",
     "quality_metrics",
+    "shown_quality",
 ]
 
 
@@ -91,6 +93,13 @@ def image_metrics() -> list[Metric]:
 def quality_metrics() -> list[Metric]:
     """The metrics that an evaluation measures, on held-out views or on a signal."""
     return [metric for metric in METRICS.values() if metric.kind in ("image", "signal")]
+
+
+def shown_quality(values: Mapping[str, Any]) -> list[Metric]:
+    """The quality metrics that are among a run's values; those on request only where there are no others."""
+    given = {key for key, value in values.items() if value is not None and value == value}
+    found = [metric for metric in quality_metrics() if metric.key in given]
+    return [metric for metric in found if not metric.on_request] or found
 
 
 def metric_of(key: str) -> Metric:

@@ -206,7 +206,7 @@ def test_configurations_beyond_the_best_are_told(frame):
     best = frame.groupby(["field", "color", "hash"])["psnr"].mean().nlargest(2)
     drawn = [line.get_ydata()[-1] for line in figure.axes[0].lines if line.get_linestyle() == "--"]
     np.testing.assert_allclose(-10 * np.log10(drawn), best)
-    assert "not drawn: 4 configurations of lower PSNR" in footnote(figure)
+    assert "not drawn: 4 configurations of worse PSNR" in footnote(figure)
 
 
 def test_the_pareto_front_is_drawn_and_named(frame):
