@@ -144,7 +144,7 @@ for _metric in (
         Metric(
             key,
             f"error in octave {number}",
-            "",
+            digits=4,
             better="lower",
             kind="image",
             explanation=f"of the truth's energy at {2 ** (number - 1)} to {2**number} cycles a side",
