@@ -61,24 +61,14 @@ def octave_points(frame: pd.DataFrame, most: int = MOST) -> pd.DataFrame:
     Columns step, cpu_s (step times the mean CPU time of a step), n, error (geometric mean over seeds), error_low and
     error_high (one standard deviation of its logarithm; NaN for one seed), octave, scene_name, name.
     """
-    table, _ = _best(frame, most, *_octaves(frame))
-    curves = []
-    for _, row in table.iterrows():
-        seconds = frame["step_cpu_ms"][row["runs"]].mean() / 1000
-        for octave, key in enumerate(OCTAVES, 1):
-            logged = [metrics(path, f"eval/{key}") for path in frame["path"][row["runs"]]]
-            curve = _over_seeds([rows.assign(value=np.log10(rows["value"].clip(lower=1e-12))) for rows in logged])
-            mean, std = curve["value"], curve["value_std"]
-            errors = {"error": mean, "error_low": mean - std, "error_high": mean + std}
-            curve = curve[["step", "n"]].assign(**{key: 10**value for key, value in errors.items()})
-            curves.append(curve.assign(cpu_s=curve["step"] * seconds, octave=octave, **row[["scene_name", "name"]]))
-    return pd.concat(curves, ignore_index=True)
+    return _octave_curves(frame, _best(frame, most, *_octaves(frame))[0])
 
 
 @style.styled
 def octave_errors(frame: pd.DataFrame, most: int = MOST) -> Figure:
     """Error in each octave, a panel each, against steps and, below, against CPU seconds; a line a configuration."""
-    curves, (table, notes) = octave_points(frame, most), _best(frame, most, *_octaves(frame))
+    table, notes = _best(frame, most, *_octaves(frame))
+    curves = _octave_curves(frame, table)
     octaves, names, scenes = sorted(curves["octave"].unique()), sorted(table["name"].unique()), points.scenes(table)
     looks = [{"color": color, "ls": dash} for dash in ("-", "--") for color in style.PALETTE]
     figure = style.new(style.PAGE, 3.0 * len(scenes))
@@ -101,6 +91,22 @@ def octave_errors(frame: pd.DataFrame, most: int = MOST) -> Figure:
     what = "error: its energy over the truth's, in an octave of cycles a side"
     style.footnote(figure, what, points.seeds(table, "bands"), notes)
     return figure
+
+
+def _octave_curves(frame: pd.DataFrame, table: pd.DataFrame) -> pd.DataFrame:
+    curves = []
+    for _, row in table.iterrows():
+        seconds = frame["step_cpu_ms"][row["runs"]].mean() / 1000
+        logged = [metrics(path) for path in frame["path"][row["runs"]]]
+        for rows in logged:
+            rows["value"] = np.log10(rows["value"].clip(lower=1e-12))
+        for octave, key in enumerate(OCTAVES, 1):
+            curve = _over_seeds([rows[rows["key"] == f"eval/{key}"] for rows in logged])
+            mean, std = curve["value"], curve["value_std"]
+            errors = {"error": mean, "error_low": mean - std, "error_high": mean + std}
+            curve = curve[["step", "n"]].assign(**{name: 10**value for name, value in errors.items()})
+            curves.append(curve.assign(cpu_s=curve["step"] * seconds, octave=octave, **row[["scene_name", "name"]]))
+    return pd.concat(curves, ignore_index=True)
 
 
 def _octaves(frame: pd.DataFrame) -> tuple[str, str, Sequence[str]]:
