@@ -8,8 +8,7 @@ from ..style import save
 from .budgets import psnr_vs_time, time_points
 from .capacity import capacity_points, capacity_vs_psnr
 from .catalogue import FIGURES, Entry
-from .curves import loss_curves, loss_points
-from .encodings import encoding_channels, encoding_slices
+from .curves import loss_curves, loss_points, octave_errors, octave_points
 from .forest import forest
 from .pareto import front, speed_points, speed_vs_error
 from .probed import best_of

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from ..selection import by_scene
 from .budgets import psnr_vs_time
 from .capacity import capacity_vs_psnr
-from .curves import loss_curves
-from .encodings import encoding_channels
+from .curves import loss_curves, octave_errors
 from .forest import forest
 from .pareto import speed_vs_error
 from .probed import best_of
@@ -59,12 +58,12 @@ FIGURES = {
     "capacity_color": Entry("PSNR against the parameters of the colour head", capacity_vs_psnr, _COLOR),
     "capacity_density": Entry("PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY),
     "loss": Entry("Loss in training and on held-out views", loss_curves),
+    "octaves": Entry("Error in each octave of spatial frequency", octave_errors),
     "time": Entry("PSNR against the time of whole trainings", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
     "forest": Entry("Differences from the baseline, scene by scene", forest),
     "stand_ins": Entry("A circuit head and its stand-ins, with verdicts", stand_ins),
     "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid),
-    "encodings": Entry("First eight channels of each encoding", encoding_channels, probe="encoding"),
     "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, probe="spectrum"),
     "shots": Entry("PSNR against shots", psnr_vs_shots),
     "noise": Entry("PSNR against gate noise", psnr_vs_noise),

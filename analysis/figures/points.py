@@ -7,6 +7,7 @@ from string import ascii_lowercase
 
 import pandas as pd
 
+from qnerf.metrics import metric_of
 from qnerf.records.schemas import LABELS
 
 from ..selection import CIRCUITS, QUANTUM, settings
@@ -19,7 +20,7 @@ _NOTATIONS = {
 
 
 def points(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str] = ()) -> pd.DataFrame:
-    """One row per scene and configuration of the runs; within a scene, the highest mean of the first value comes first.
+    """One row per scene and configuration of the runs; within a scene, the best mean of the first value comes first.
 
     Columns scene_name, `LABELS`, train.steps and `keep` of the first run; per value its mean and <value>_std (n - 1;
     NaN for one seed); n, the number of seeds; runs, their row numbers; name, a short text unlike that of any other row.
@@ -28,12 +29,16 @@ def points(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str] = ()) 
     return table.assign(name=names(table, runs))
 
 
-def best(runs: pd.DataFrame, values: Sequence[str], most: int) -> tuple[pd.DataFrame, str]:
-    """`points` of the `most` best configurations of each scene, and a note that counts the others."""
+def best(runs: pd.DataFrame, values: Sequence[str], most: int, never: Sequence[str] = ()) -> tuple[pd.DataFrame, str]:
+    """`points` of the `most` best configurations of each scene, and a note that counts the others.
+
+    never: labels that no name mentions.
+    """
     table = _grouped(runs, values, ())
     shown = table.groupby("scene_name", dropna=False).head(most).reset_index(drop=True)
     left = len(table) - len(shown)
-    return shown.assign(name=names(shown, runs)), f"not drawn: {left} configurations of lower PSNR" if left else ""
+    rest = f"not drawn: {left} configurations of worse {metric_of(values[0]).label}" if left else ""
+    return shown.assign(name=names(shown, runs, never=never)), rest
 
 
 def families(table: pd.DataFrame, runs: pd.DataFrame, x: str, ignored: Sequence[str]) -> pd.DataFrame:
@@ -118,7 +123,8 @@ def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> 
         table[value], table[f"{value}_std"] = groups[value].mean(), groups[value].std()
     table["n"] = groups.size()
     table["runs"] = pd.Series(groups.groups)
-    return table.sort_values(["scene_name", values[0]], ascending=[True, False], ignore_index=True)
+    ascending = [True, metric_of(values[0]).sign < 0]
+    return table.sort_values(["scene_name", values[0]], ascending=ascending, ignore_index=True)
 
 
 def _settings(table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str]) -> pd.DataFrame:

@@ -74,7 +74,8 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
     first, *others = FIRST_COLUMNS
     readable = frame[frame["state"] != "damaged"]
     differing = row_keys(readable)[:MOST_KEYS] if len(readable) else []
-    usual = list(dict.fromkeys((first, metric, *others, *LABEL_COLUMNS, *differing, *quality, *COST_COLUMNS)))
+    shown = [name for name in quality if not metric_of(name).on_request]
+    usual = list(dict.fromkeys((first, metric, *others, *LABEL_COLUMNS, *differing, *shown, *COST_COLUMNS)))
     return {
         "total": len(frame),
         "columns": columns,

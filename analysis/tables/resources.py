@@ -48,7 +48,7 @@ def resources(
                 found.setdefault(path, {})[column] = own[condition]
     probed = pd.DataFrame.from_dict(found, orient="index")
     probed = probed[[*(name for name in probed if name.startswith("cost.")), *conditions.values()]]
-    quality = [item.key for item in quality_metrics()]
+    quality = [item.key for item in quality_metrics() if not item.on_request]
     values = [name for name in dict.fromkeys((metric, *quality, *GIVEN)) if name in runs and runs[name].notna().any()]
     own = frame.join(probed, on="path")
     made = ablation(own, rows, metric=metric, values=[*values, *probed], baseline=baseline, within=within, title=title)

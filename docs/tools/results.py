@@ -241,7 +241,7 @@ def verdicts(table: Table, question: Question) -> str:
             counts = own.value_counts()
             better = " and ".join(markdown_escape(one) for one in name[own.index[own == "better"]])
             words = [f"{counts[one]} {one}" + f" ({better})" * (one == "better") for one in KINDS if one in counts]
-            said.append(f"{where}: " + ", ".join(words))
+            said.append(f"{where}: " * bool(where) + ", ".join(words))
     return f"against {baseline}: " + "; ".join(said)
 
 

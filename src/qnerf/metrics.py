@@ -5,10 +5,21 @@ Tables, figures, the report and the command line read `METRICS`. A metric of hel
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-__all__ = ["HEAD_PARAMETERS", "METRICS", "Metric", "declare", "image_metrics", "metric_of", "quality_metrics"]
+__all__ = [
+    "HEAD_PARAMETERS",
+    "METRICS",
+    "OCTAVES",
+    "Metric",
+    "declare",
+    "image_metrics",
+    "metric_of",
+    "quality_metrics",
+    "shown_quality",
+]
 
 
 @dataclass(frozen=True)
@@ -56,6 +67,9 @@ class Metric:
 HEAD_PARAMETERS = ("params.density", "params.color", "params.head")
 """Columns with the parameters of a run's heads: two of a radiance field, one of a signal."""
 
+OCTAVES = tuple(f"error_octave_{number}" for number in range(1, 9))
+"""Keys of the error in each octave of spatial frequency, the lowest first; see `image_metrics.octave_errors`."""
+
 COLORLESS = 0.25
 """Explained variance of held-out colours below which a run is colourless: it shows one colour, or nothing."""
 
@@ -79,6 +93,13 @@ def image_metrics() -> list[Metric]:
 def quality_metrics() -> list[Metric]:
     """The metrics that an evaluation measures, on held-out views or on a signal."""
     return [metric for metric in METRICS.values() if metric.kind in ("image", "signal")]
+
+
+def shown_quality(values: Mapping[str, Any]) -> list[Metric]:
+    """The quality metrics that are among a run's values; those on request only where there are no others."""
+    given = {key for key, value in values.items() if value is not None and value == value}
+    found = [metric for metric in quality_metrics() if metric.key in given]
+    return [metric for metric in found if not metric.on_request] or found
 
 
 def metric_of(key: str) -> Metric:
@@ -119,6 +140,18 @@ for _metric in (
     ),
     Metric("depth_error", "depth error", "", 3, "lower", "image", "mean of |depth - truth| / the larger", within=0.01),
     Metric("depth_error_median", "median depth error", "world units", 3, "lower", "image", "median of |depth - truth|"),
+    *(
+        Metric(
+            key,
+            f"error in octave {number}",
+            digits=4,
+            better="lower",
+            kind="image",
+            explanation=f"of the truth's energy at {2 ** (number - 1)} to {2**number} cycles a side",
+            on_request=True,
+        )
+        for number, key in enumerate(OCTAVES, 1)
+    ),
     Metric(
         "psnr_unseen", "PSNR of unseen pixels", "dB", 2, "higher", "signal", "pixels kept out of training", within=0.5
     ),

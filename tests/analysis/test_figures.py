@@ -125,6 +125,20 @@ def test_loss_curves_are_geometric_means_over_seeds(frame):
     np.testing.assert_allclose(lines["classical"].get_ydata(), held_out["mse"])
 
 
+def test_octaves_are_geometric_means_over_seeds_against_steps_and_cpu_seconds(frame):
+    own = frame[(frame["color.mlp.layers"] == 3) & (frame["field"] == "classical")]
+    table = figures.octave_points(own)
+    logged = [metrics(path, "eval/error_octave_1").set_index("step")["value"] for path in own["path"]]
+    first = table[table["octave"] == 1].set_index("step")
+    np.testing.assert_allclose(first["error"], np.sqrt(logged[0] * logged[1]))
+    np.testing.assert_allclose(first["cpu_s"], first.index * own["step_cpu_ms"].mean() / 1000)
+    steps, seconds = np.split(np.array(figures.octave_errors(own).axes), 2)
+    assert len(steps) == table["octave"].nunique()
+    for ax, x in ((steps[0], first.index), (seconds[0], first["cpu_s"])):
+        (line,) = ax.lines
+        np.testing.assert_allclose(line.get_xydata(), np.stack([x, first["error"]], 1))
+
+
 def test_long_training_curves_are_means_of_spans():
     logged = pd.DataFrame({"step": np.arange(1, 1001), "time_s": 0.0, "value": np.arange(1000.0)})
     binned, shorter = figures.curves._binned([logged, logged[:510]])
@@ -164,7 +178,7 @@ def test_configurations_beyond_the_best_are_told(frame):
     best = frame.groupby(["field", "color", "hash"])["psnr"].mean().nlargest(2)
     drawn = [line.get_ydata()[-1] for line in figure.axes[0].lines if line.get_linestyle() == "--"]
     np.testing.assert_allclose(-10 * np.log10(drawn), best)
-    assert "not drawn: 3 configurations of lower PSNR" in footnote(figure)
+    assert "not drawn: 3 configurations of worse PSNR" in footnote(figure)
 
 
 def test_the_pareto_front_is_drawn_and_named(frame):

@@ -59,17 +59,6 @@ def test_the_grid_shows_the_stored_panels_of_median_runs(frame):
     assert figure.axes[1].get_xlabel() == f"{row['psnr']:.2f} dB"
 
 
-def test_encodings_are_drawn_channel_by_channel(probed):
-    slices = figures.encoding_slices(probed)
-    assert list(slices) == [("pe", False), ("rff", False), ("hash", True), ("sh", False)]
-    figure = figures.encoding_channels(probed)
-    drawn = [ax.images[0].get_array() for ax in figure.axes]
-    np.testing.assert_array_equal(np.stack(drawn), np.concatenate(list(slices.values())))
-    table = pd.read_parquet(f"{probed}/encoding.parquet")
-    cell = table[(table["encoder"] == "hash") & (table["row"] == 3) & (table["column"] == 5)]
-    assert slices["hash", True][2][3, 5] == cell["channel_2"].item()
-
-
 def test_the_spectrum_shows_each_share_of_variance(probed):
     table = figures.spectrum_points(probed)
     assert table["share"].between(-1e-9, 1 + 1e-9).all()

@@ -164,7 +164,7 @@ def results() -> dict[str, Cells]:
     return {page.parent.name: measured(page.read_text()) for page in pages}
 
 
-MEASURES = re.compile(r"(?:(.+): )?((?:PSNR|exact|KS|distance error|against).*)")
+MEASURES = re.compile(r"(?:(.+): )?((?:PSNR|exact|KS|distance error|error in octave|explained|against).*)")
 """The heading of a measured column: `fox_64: PSNR, dB`, `against classical`."""
 
 

@@ -10,14 +10,12 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import nn
 
 from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
-from qnerf.encoders import spherical_harmonics
 from qnerf.experiment import run
 from qnerf.heads import HEADS
-from qnerf.probes import PROBES, Trained, cost, diagnostics, encoding, load, probe, spectrum
+from qnerf.probes import PROBES, Trained, cost, diagnostics, load, probe, spectrum
 from qnerf.quantum import QuantumLayer, lightcone
 from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Weights, feature, weight
 from qnerf.quantum.cones import find_cones
@@ -112,25 +110,6 @@ def test_spectrum_of_a_run_has_each_circuit_of_each_head(quantum_run):
     fourier, hybrid = HEADS.build("qfgn", 3, 2, qubits=2).hybrid
     assert spectrum.angles(fourier, 2)["angle_std"].isna().all()
     assert spectrum.angles(hybrid, 2)["angle_std"].notna().all()
-
-
-def test_encoding_holds_the_run_s_own_encoder_and_the_others(tiny):
-    table = encoding.table(untrained(tiny("field=classical", "encoder=pe")))
-    names = zip(table["encoder"], table["trained"], strict=True)
-    assert set(names) == {("pe", True), ("rff", False), ("hash", False), ("sh", False)}
-    own = table[table["encoder"] == "pe"]
-    assert len(own) == len(own.drop_duplicates(["row", "column"]))
-    np.testing.assert_allclose(own["channel_0"], np.sin(2 * np.pi * own["x"].astype(float)), atol=1e-6)
-    sphere = table[table["encoder"] == "sh"]
-    z = 2 * sphere["y"].astype(float) - 1
-    longitude, radius = 2 * np.pi * sphere["x"].astype(float), np.sqrt(1 - z**2)
-    directions = torch.tensor(np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], 1))
-    expected = spherical_harmonics(directions, 4)[:, :8].numpy()
-    np.testing.assert_allclose(sphere[[f"channel_{index}" for index in range(8)]], expected, atol=1e-5)
-    unit = encoding._grid()
-    few = encoding._rows("none", False, unit, nn.Identity(), torch.cat([unit, unit[:, :1]], 1))
-    np.testing.assert_allclose(few["channel_0"], few["x"])
-    assert few["channel_3"].isna().all()
 
 
 def test_diagnostics_of_a_run_are_saved_and_shown(quantum_run, monkeypatch, capsys):
@@ -242,7 +221,7 @@ def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, 
         return error
 
     for arguments, message in (
-        (["unit"], "unknown probe 'unit'; known: spectrum, encoding, units"),
+        (["unit"], "unknown probe 'unit'; known: spectrum, units"),
         (["units", "shot=1"], "unknown option 'shot'; known: shots"),
         (["spectrum"], "neither of its heads has a circuit of qnerf"),
         (["shots=10"], "neither of its heads has a circuit of qnerf"),

@@ -3,10 +3,21 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
 
 from qnerf.training import lpips as lpips_module
-from qnerf.training.image_metrics import Comparison, depth_error, lpips, measure, psnr, ssim
+from qnerf.training.image_metrics import (
+    Comparison,
+    depth_error,
+    lpips,
+    measure,
+    octave_energies,
+    octave_errors,
+    psnr,
+    ssim,
+)
 from qnerf.training.lpips import BACKBONE, HEADS, VARIABLE
 
 
@@ -158,3 +169,23 @@ def test_explained_variance_tells_a_picture_from_one_colour() -> None:
     assert found["one colour"] == pytest.approx(0, abs=1e-12)
     assert found["nothing"] < 0
     assert measure(Comparison(grey, grey, depth, None))["explained"] is None  # there is nothing to explain
+
+
+@given(st.lists(st.integers(1, 12), min_size=1, max_size=3), st.floats(-2, 2))
+def test_octaves_share_out_the_energy_and_scale_with_it(sides, part):
+    values = torch.rand(*sides, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    energies = octave_energies(values)
+    assert energies.sum() == pytest.approx(float(values.square().sum()))
+    assert energies[0] == pytest.approx(float(values.mean(list(range(len(sides)))).square().sum()) * math.prod(sides))
+    shared = octave_errors((1 - part) * values, values).values()
+    assert [value for value in shared if value is not None] == pytest.approx([part**2] * sum(energies[1:] > 0))
+
+
+def test_a_wave_lies_in_the_octave_of_its_cycles_along_the_longest_side():
+    x = (torch.arange(64, dtype=torch.float64) + 0.5) / 64
+    for cycles, octave in ((0.5, 1), (1.5, 1), (2, 2), (3.5, 2), (4, 3), (31.5, 5)):
+        wave = torch.cos(2 * torch.pi * cycles * x).expand(36, 64)[..., None]
+        assert octave_energies(wave).argmax() == octave
+        assert octave_energies(wave.transpose(0, 1)).argmax() == octave
+    missing = octave_errors(0 * wave, wave)
+    assert missing == {f"error_octave_{number}": None if number < 5 else pytest.approx(1) for number in range(1, 6)}

@@ -29,7 +29,7 @@ from qnerf.cli.stored import load_stored
 from qnerf.cli.sweep import announce, combinations
 from qnerf.cli.text import duration
 from qnerf.cli.training import note_without_effect, train
-from qnerf.metrics import quality_metrics
+from qnerf.metrics import shown_quality
 from qnerf.records import filters, find, read_config, read_metrics, read_summary, state
 from qnerf.records.read import read_evaluation
 from qnerf.training.trainer import Diverged
@@ -125,11 +125,7 @@ class StoredRun:
     def _repr_html_(self) -> str:
         """What a notebook shows: state, metrics and a few pictures."""
         summary = self.summary
-        values = [
-            f"{item.label} {item.with_unit(summary[item.key])}"
-            for item in quality_metrics()
-            if summary.get(item.key) is not None
-        ]
+        values = [f"{item.label} {item.with_unit(summary[item.key])}" for item in shown_quality(summary)]
         shown = [
             f'<figure style="margin:4px 0"><img style="max-width:100%" src="data:image/png;base64,'
             f'{base64.b64encode(picture.read_bytes()).decode()}"><figcaption>{escape(picture.stem)}</figcaption></figure>'

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from qnerf.probes import cost, diagnostics, encoding, spectrum, units
+from qnerf.probes import cost, diagnostics, spectrum, units
 from qnerf.probes.trained import Trained, load, require_loadable
 from qnerf.records.files import replace
 
 PROBES: dict[str, Callable[[Trained], pd.DataFrame]] = {
     "spectrum": spectrum.table,
-    "encoding": encoding.table,
     "units": units.table,
     "cost": cost.table,
     "expressibility": diagnostics.expressibility,

@@ -52,7 +52,7 @@ TABLES = {
 
 
 PROBES = (
-    "eval_hardware", "spectrum", "encoding", "units", "cost", "expressibility", "entangling", "fisher",
+    "eval_hardware", "spectrum", "units", "cost", "expressibility", "entangling", "fisher",
     "kernel", "surrogate",
 )  # fmt: skip
 """Tables that `qnerf probe` leaves in a run's folder."""

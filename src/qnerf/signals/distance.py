@@ -1,6 +1,7 @@
 """The distance of a shape's surface as a function of points."""
 
 import copy
+import math
 from typing import Literal
 
 import torch
@@ -10,9 +11,10 @@ from qnerf.config.bounds import PositiveInt, Seed
 from qnerf.scenes import SCENES
 from qnerf.scenes.base import digest, hold_out
 from qnerf.signals.base import Fitted, Signal
-from qnerf.signals.photograph import centres
+from qnerf.signals.lattice import grid
 from qnerf.signals.shapes import SHAPES
 from qnerf.training.evaluation import ERROR_GAIN, colormap
+from qnerf.training.image_metrics import octave_errors
 
 VERSION = "1"  # raise it whenever the shapes change
 EVALUATED = {2: 128, 3: 32}  # points along each axis of the grid on which a fit is measured
@@ -43,8 +45,9 @@ class Distance(Signal):
         random = torch.Generator().manual_seed(seed)
         self.points = torch.rand(samples, dims, dtype=torch.float64, generator=random)
         self.targets = self.distances(self.points)
-        self.unseen = grid(dims, EVALUATED[dims])
-        self.plane = grid(2, PICTURE)
+        self.lattice = (EVALUATED[dims],) * dims
+        self.unseen = grid(self.lattice)
+        self.plane = grid([PICTURE] * 2)
         if dims == 3:
             self.plane = torch.nn.functional.pad(self.plane, (0, 1), value=0.5)
 
@@ -63,7 +66,10 @@ class Distance(Signal):
         return {"distance_error": torch.nn.functional.l1_loss(predicted, targets)}
 
     def evaluate(self, fitted: Fitted) -> tuple[dict[str, float | None], list[Tensor]]:
-        """Mean absolute error, IoU of the inside, and how far the gradient's length is from 1, on unseen points."""
+        """Mean absolute error, IoU of the inside, how far the gradient's length is from 1, and the error in octaves.
+
+        On unseen points; the octaves only where these are the lattice.
+        """
         distance, truth = fitted.values(self.unseen), self.distances(self.unseen)
         inside, truly = distance < 0, truth < 0
         lengths = torch.linalg.vector_norm(fitted.gradients(self.unseen), dim=-1)
@@ -72,15 +78,11 @@ class Distance(Signal):
             "iou": float((inside & truly).sum() / (inside | truly).sum()),
             "eikonal_error": float((lengths - 1).abs().mean()),
         }
+        if len(self.unseen) == math.prod(self.lattice):
+            measured |= octave_errors(*(values.view(*self.lattice, 1) for values in (distance, truth)))
         shown = [values.view(PICTURE, PICTURE) for values in (self.distances(self.plane), fitted.values(self.plane))]
         error = (ERROR_GAIN * (shown[1] - shown[0]).abs() / FURTHEST).clamp(0, 1)
         return measured, [*map(shade, shown), error[..., None].expand(-1, -1, 3)]
-
-
-def grid(dims: int, count: int) -> Tensor:
-    """(count^dims, dims): the middles of the cells of a regular grid, the first coordinate running fastest."""
-    axes = torch.meshgrid(*[centres(count)] * dims, indexing="ij")
-    return torch.stack(axes[::-1], dim=-1).view(-1, dims)
 
 
 def shade(distance: Tensor) -> Tensor:

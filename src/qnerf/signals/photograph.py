@@ -1,6 +1,5 @@
 """A photograph as a function from pixel coordinates to colour."""
 
-import copy
 from pathlib import Path
 from typing import Annotated
 
@@ -13,19 +12,19 @@ from torch import Tensor
 
 from qnerf.config.bounds import Count
 from qnerf.scenes import SCENES
-from qnerf.scenes.base import hold_out
 from qnerf.scenes.folders import PHOTOGRAPHS, SceneFolder
 from qnerf.scenes.images import open_header, read_images
-from qnerf.signals.base import Fitted, Signal
+from qnerf.signals.base import Fitted
+from qnerf.signals.lattice import HeldOut, Lattice
 from qnerf.training.evaluation import shade_error
-from qnerf.training.image_metrics import explained, psnr, ssim
+from qnerf.training.image_metrics import explained, octave_errors, psnr, ssim
 
 BUNDLED = Path(skimage.data.__file__).parent
 LUMINANCE = (0.2125, 0.7154, 0.0721)  # as skimage.color.rgb2gray
 
 
 @SCENES.register("photograph")
-class Photograph(Signal):
+class Photograph(Lattice):
     """A picture that comes with scikit-image, or any image file.
 
     The model maps the centres of pixels, in the unit square with x to the right and y down, to colours in [0, 1].
@@ -50,7 +49,7 @@ class Photograph(Signal):
         path: str = "astronaut",
         size: Annotated[int, Interval(ge=3, le=1024)] | None = 32,
         gray: bool = False,
-        held_out: Annotated[float, Interval(ge=0, le=0.9)] = 0.0,
+        held_out: HeldOut = 0.0,
     ) -> None:
         file = picture_file(path)
         header = open_header(file.parent, file)
@@ -63,40 +62,12 @@ class Photograph(Signal):
         pixels = np.asarray(image, np.float64) / 255
         if gray:
             pixels = pixels @ np.array(LUMINANCE)[:, None]
-        self.truth = torch.from_numpy(pixels)  # (H, W, C)
-        height, width = pixels.shape[:2]
-        y, x = torch.meshgrid(centres(height), centres(width), indexing="ij")
-        self.everywhere = torch.stack([x, y], dim=-1).view(-1, 2)
-        unseen = round(held_out * height * width)
-        order = torch.randperm(height * width, generator=torch.Generator().manual_seed(0))
-        self.unseen, seen = order[:unseen].sort().values, order[unseen:].sort().values
-        self.measured = torch.arange(height * width)  # pixels: all, or without those of the test
-        self._train_on(seen)
-
-    def _train_on(self, seen: Tensor) -> None:
-        self.points, self.targets = self.everywhere[seen], self.truth.flatten(0, 1)[seen]
-        self.seen = seen
-
-    @property
-    def tests_unseen(self) -> bool:
-        return len(self.unseen) > 0
-
-    def validating(self, share: float) -> "Photograph":
-        """The picture without the pixels of the test, which are black; of the others some validate."""
-        found = copy.copy(self)
-        seen, unseen = (torch.tensor(pixels) for pixels in hold_out(self.seen.tolist(), share))
-        found.measured, found.unseen, found.truth = self.seen, unseen, self.truth.clone()
-        found.truth.flatten(0, 1)[self.unseen] = 0
-        found._train_on(seen)
-        return found
-
-    def terms(self, predicted: Tensor, targets: Tensor) -> dict[str, Tensor]:
-        return {"mse": torch.nn.functional.mse_loss(predicted, targets)}
+        self.lay(torch.from_numpy(pixels), held_out)  # (H, W, C)
 
     def evaluate(self, fitted: Fitted) -> tuple[dict[str, float | None], list[Tensor]]:
-        """PSNR and SSIM of the whole picture, and the PSNR of the pixels that training never saw.
+        """PSNR, SSIM and octaves of the whole picture, and the PSNR of the pixels that training never saw.
 
-        Where pixels are held out for validation, those of the test are in none, and there is no SSIM.
+        Where pixels are held out for validation, those of the test are in none, and there are no SSIM and octaves.
         """
         color = fitted.values(self.everywhere).clamp(0, 1).view(self.truth.shape)
         fit, truth = color.expand(-1, -1, 3), self.truth.expand(-1, -1, 3)
@@ -105,9 +76,10 @@ class Photograph(Signal):
         )
         measured = {
             "psnr": psnr(*whole),
-            "ssim": ssim(fit, truth) if len(self.measured) == len(self.everywhere) else None,
+            "ssim": ssim(fit, truth) if self.is_whole else None,
             "explained": explained(*(image[0] for image in whole)),
             "psnr_unseen": psnr(*unseen) if len(self.unseen) else None,
+            **(octave_errors(color, self.truth) if self.is_whole else {}),
         }
         return measured, [truth, fit, shade_error(fit, truth)]
 
@@ -129,12 +101,3 @@ def middle_square(image: Image.Image, size: Count) -> Image.Image:
     left, top = (image.width - side) / 2, (image.height - side) / 2
     box = (left, top, left + side, top + side)
     return image.resize((size, size), Image.Resampling.BILINEAR, box)
-
-
-def centres(count: int) -> Tensor:
-    """(count,) float64: the middles of `count` equal parts of [0, 1].
-
-    >>> centres(2).tolist()
-    [0.25, 0.75]
-    """
-    return (torch.arange(count, dtype=torch.float64) + 0.5) / count

@@ -5,19 +5,34 @@ then measures it, and tables, figures, the report and the command line show it.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.fft import dctn
 from scipy.ndimage import binary_erosion
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
 from qnerf.config.registry import Registry
-from qnerf.metrics import image_metrics
+from qnerf.metrics import OCTAVES, image_metrics
 from qnerf.training.lpips import lpips
 
-__all__ = ["IMAGE_METRICS", "Comparison", "depth_error", "explained", "lpips", "measure", "psnr", "ssim"]
+__all__ = [
+    "IMAGE_METRICS",
+    "Comparison",
+    "depth_error",
+    "explained",
+    "lpips",
+    "measure",
+    "octave_energies",
+    "octave_errors",
+    "octaves_of",
+    "psnr",
+    "ssim",
+]
 
 Measured = float | None | tuple[float | None, str | None]
 """A metric's value, None where it cannot be had; or the value and why there is none."""
@@ -37,6 +52,12 @@ class Comparison:
     mask: Tensor | None = None  # (H, W) bool: False is not counted; None: everything is
     solid: Tensor | None = None  # (H, W) bool: where the true view shows something; None: everywhere
     stride: int = 1  # of the view's rows and columns that are here
+
+    @cached_property
+    def octaves(self) -> dict[str, float | None]:
+        """`octave_errors`; nothing where rows, columns or pixels are missing."""
+        whole = self.stride == 1 and (self.mask is None or bool(self.mask.all()))
+        return octave_errors(self.color, self.truth) if whole else {}
 
 
 def measure(view: Comparison) -> dict[str, float | str | None]:
@@ -106,6 +127,48 @@ def explained(image: Tensor, truth: Tensor) -> float | None:
     return 1 - float((image - truth).square().mean() / variance) if float(variance) > 1e-12 else None
 
 
+def octaves_of(sides: Sequence[int]) -> np.ndarray:
+    """Octave of each coefficient of the cosine transform (DCT-II) on a lattice of square cells; 0: the mean.
+
+    Octave k is from 2^(k-1) to below 2^k cycles along the longest side; the first begins above 0. The last one of the
+    lattice, or the eighth, goes on to the highest frequency.
+
+    >>> octaves_of([8])
+    array([0, 1, 1, 1, 2, 2, 2, 2])
+    """
+    longest = max(sides)
+    cycles = [np.arange(side) / 2 * longest / side for side in sides]  # along the longest side
+    frequency = np.sqrt(sum(axis**2 for axis in np.meshgrid(*cycles, indexing="ij")))
+    last = min(math.ceil(math.log2(max(longest, 3) / 2)), len(OCTAVES))
+    octave = np.minimum(np.floor(np.log2(np.maximum(frequency, 1))).astype(int) + 1, last)
+    return np.where(frequency > 0, octave, 0)
+
+
+def octave_energies(values: Tensor) -> np.ndarray:
+    """Energy of values (..., C) on a lattice, such as (H, W, 3) or (N, 1), in each octave of spatial frequency.
+
+    The cosine transform continues the values by reflection, so that borders do not have to fit together and no window
+    is needed. It is orthonormal: the energies add up to the sum of squares (Parseval).
+
+    Returns:
+        (1 + octaves,): of the mean, then of octave 1, 2, ... (`octaves_of`); float64.
+    """
+    octave = octaves_of(values.shape[:-1])
+    power = dctn(values.detach().double().cpu().numpy(), axes=range(octave.ndim), norm="ortho") ** 2
+    return np.bincount(octave.ravel(), power.sum(-1).ravel())
+
+
+def octave_errors(fit: Tensor, truth: Tensor) -> dict[str, float | None]:
+    """`error_octave_<k>` -> energy of the error over energy of the truth (`octave_energies`) in octave k.
+
+    0 is exact, 1 as far off as a fit without that octave. None where the truth has nothing. The mean is in none.
+    """
+    error, known = octave_energies(fit - truth)[1:], octave_energies(truth)
+    there = known[1:] > 1e-20 * known.sum()  # less is rounding
+    ratios = error / np.where(there, known[1:], 1)
+    return {key: float(ratio) if some else None for key, ratio, some in zip(OCTAVES, ratios, there, strict=False)}
+
+
 def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
     """How far a depth map (H, W) is from the true one, over the pixels whose true depth is finite and above 0.
 
@@ -169,3 +232,7 @@ def _depth_errors(view: Comparison) -> tuple[float, float]:
     assert view.true_depth is not None
     counted = view.true_depth if view.mask is None else view.true_depth.where(view.mask, torch.inf)
     return depth_error(view.depth, counted)
+
+
+for _key in OCTAVES:
+    IMAGE_METRICS.register(_key)(lambda view, key=_key: view.octaves.get(key))

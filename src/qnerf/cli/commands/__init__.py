@@ -32,7 +32,7 @@ GROUPS = {
         "rm": "delete runs",
     },
     "measure a trained model": {
-        "probe": "finite shots, noisy gates, spectra, encodings, dead units, costs",
+        "probe": "finite shots, noisy gates, spectra, dead units, costs",
     },
     "analyse a store of runs": {
         "serve": "a page in the browser that follows the store while runs train",

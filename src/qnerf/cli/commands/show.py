@@ -14,7 +14,7 @@ from qnerf.cli.table import Column, metric_column, print_table
 from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration, measured, missing, styled
 from qnerf.config.checks import is_number
 from qnerf.config.identity import flatten
-from qnerf.metrics import Metric, metric_of, quality_metrics
+from qnerf.metrics import Metric, metric_of, shown_quality
 from qnerf.records import details, find
 from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.printable import printable
@@ -88,7 +88,7 @@ def _results(out: Console, run: Run) -> None:
 
 def results(values: Mapping[str, Any], own: Sequence[Metric] = ()) -> Iterator[tuple[str, str]]:
     """Title and text of what a summary says: quality, parameters, times. own: metrics that nobody declared."""
-    metrics = [item for item in (*quality_metrics(), *own) if not missing(values.get(item.key))]
+    metrics = [*shown_quality(values), *(item for item in own if not missing(values.get(item.key)))]
     if metrics:
         texts = [f"{item.label} {measured(values[item.key], item, unit=True)}" for item in metrics]
         views = "" if missing(values.get("eval_views")) else f"views {count(values['eval_views'])}"
@@ -120,8 +120,8 @@ def _views(out: Console, run: Run) -> None:
     if not views:
         return
     _section(out, f"held-out views after step {count(views[0]['step'])}")
-    known = (*quality_metrics(), *_own_metrics(views[0], run["config"]))
-    metrics = [item for item in known if not all(missing(view.get(item.key)) for view in views)]
+    known = dict.fromkeys(item for view in views for item in shown_quality(view))
+    metrics = [*known, *_own_metrics(views[0], run["config"])]
     columns = [Column("image", lambda row: str(row["image"])), *map(metric_column, metrics)]
     print_table(out, columns, views)
 
