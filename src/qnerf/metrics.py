@@ -126,6 +126,17 @@ _LOGGED = {"train": "training", "validation": "validation", "eval": "evaluation"
 
 for _metric in (
     Metric("psnr", "PSNR", "dB", 2, "higher", "image", within=0.5),
+    Metric(
+        "psnr_view_dependent",
+        "PSNR of view-dependent pixels",
+        "dB",
+        2,
+        "higher",
+        "image",
+        "specular light raises a channel by at least 0.05",
+        within=0.5,
+    ),
+    Metric("psnr_diffuse", "PSNR of the other pixels", "dB", 2, "higher", "image", "less specular light", within=0.5),
     Metric("ssim", "SSIM", "", 3, "higher", "image", within=0.01),
     Metric("lpips", "LPIPS", "", 4, "lower", "image"),
     Metric(

@@ -171,6 +171,9 @@ def test_runs_with_shots_and_noise_follow_their_seed(tiny):
         build_head(tiny("qiren.noise.t1=1e-5", "qiren.noise.t2=1", "qiren.noise.one_qubit_time=1e-8")["color"], 4, 2)
 
 
-def test_the_poster_trains(tiny):
-    summary = finished(tiny("scene=poster", "scene.views=6"))
-    assert summary["depth_error"] > 0
+def test_built_in_scenes_train_and_report_what_they_know(tiny):
+    for scene, view_dependent in (("poster", False), ("glossy", True)):
+        summary = finished(tiny(f"scene={scene}", "scene.views=6"))
+        assert summary["depth_error"] > 0
+        parts = [summary["psnr_view_dependent"], summary["psnr_diffuse"]]
+        assert all(part is not None and part > 0 for part in parts) if view_dependent else parts == [None, None]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from qnerf.training import lpips as lpips_module
 from qnerf.training.image_metrics import (
+    VIEW_DEPENDENT,
     Comparison,
     depth_error,
     lpips,
@@ -154,6 +155,21 @@ def test_masked_pixels_are_not_counted() -> None:
     assert (measured[0]["lpips"], measured[0]["lpips_reason"]) == (None, "masked pixels cannot be left out of it")
     nothing = measure(Comparison(image, truth, depth, None, torch.zeros_like(mask)))
     assert nothing["psnr"] is nothing["ssim"] is None
+
+
+def test_view_dependent_pixels_are_measured_apart() -> None:
+    """Errors of 0.1 where specular light is at the threshold, and of 0.01 below it; a masked pixel counts nowhere."""
+    specular = torch.tensor([[VIEW_DEPENDENT, 255, VIEW_DEPENDENT - 1, 0, 255]], dtype=torch.uint8)
+    truth, error = torch.zeros(1, 5, 3), torch.tensor([[0.1, 0.1, 0.01, 0.01, 0.9]])[..., None].double()
+    mask, depth = torch.tensor([[True, True, True, True, False]]), torch.ones(1, 5)
+    found = measure(Comparison(truth + error, truth.double(), depth, None, mask, specular=specular))
+    assert found["psnr_view_dependent"] == pytest.approx(20)
+    assert found["psnr_diffuse"] == pytest.approx(40)
+    nowhere = measure(Comparison(truth + error, truth.double(), depth, None, specular=torch.zeros_like(specular)))
+    assert nowhere["psnr_view_dependent"] is None
+    assert nowhere["psnr_diffuse"] == nowhere["psnr"]
+    unknown = measure(Comparison(truth + error, truth.double(), depth, None))
+    assert unknown["psnr_view_dependent"] is unknown["psnr_diffuse"] is None
 
 
 def test_explained_variance_tells_a_picture_from_one_colour() -> None:

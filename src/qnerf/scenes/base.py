@@ -102,6 +102,7 @@ class Scene:
     fingerprint: str  # hash of what the scene is made from; the same in every folder and on every machine
     transform: Tensor  # (4, 4) float64 similarity: the source's world -> normalised world
     depth: Tensor | None = None  # (V, H, W) float32, distance along the ray of the pixel's centre; inf: nothing hit
+    specular: Tensor | None = None  # (V, H, W) uint8: levels by which specular light raises a pixel's brightest channel
     near: float | None = None  # world units; None: the scene defines no bounds
     far: float | None = None
     headline: ClassVar[str] = "psnr"  # key of the metric that is shown during training
@@ -120,6 +121,8 @@ class Scene:
             require_tensor(f"{label}mask", self.mask, shape, torch.bool)
         if self.depth is not None:
             require_tensor(f"{label}depth", self.depth, shape, torch.float32, torch.float64)
+        if self.specular is not None:
+            require_tensor(f"{label}specular", self.specular, shape, torch.uint8)
         if self.points is not None:
             require_tensor(f"{label}points", self.points, ("P", 4), torch.float64)
         require_tensor(f"{label}transform", self.transform, (4, 4), torch.float64)

@@ -118,10 +118,12 @@ class Evaluator:
         depth = None if self.scene.depth is None else self.scene.depth[view]
         solid = self.scene.image(view)[:, :, 3] >= 128 if self.scene.has_alpha else None
         truth = self.truth(view).double()[::step, ::step]
-        depth, mask, solid = (
-            None if whole is None else whole[::step, ::step] for whole in (depth, self.scene.valid(view), solid)
+        specular = None if self.scene.specular is None else self.scene.specular[view]
+        depth, mask, solid, specular = (
+            None if whole is None else whole[::step, ::step]
+            for whole in (depth, self.scene.valid(view), solid, specular)
         )
-        compared = Comparison(rendered.color.double(), truth, rendered.depth, depth, mask, solid, step)
+        compared = Comparison(rendered.color.double(), truth, rendered.depth, depth, mask, solid, step, specular)
         return {"image": self.scene.names[view]} | measure(compared)
 
     def views(

@@ -52,6 +52,7 @@ class Comparison:
     mask: Tensor | None = None  # (H, W) bool: False is not counted; None: everything is
     solid: Tensor | None = None  # (H, W) bool: where the true view shows something; None: everywhere
     stride: int = 1  # of the view's rows and columns that are here
+    specular: Tensor | None = None  # (H, W) uint8, see `Scene`; None where the scene does not know it
 
     @cached_property
     def octaves(self) -> dict[str, float | None]:
@@ -70,6 +71,7 @@ def measure(view: Comparison) -> dict[str, float | str | None]:
     return row
 
 
+VIEW_DEPENDENT = 13  # levels of specular light, a twentieth of full brightness, from which on a pixel is one of these
 _RADIUS = 5  # pixels: a window of 11 x 11
 
 
@@ -191,9 +193,23 @@ def depth_error(depth: Tensor, truth: Tensor) -> tuple[float, float]:
 
 @IMAGE_METRICS.register("psnr")
 def _psnr(view: Comparison) -> Measured:
-    if view.mask is None:
-        return psnr(view.color, view.truth)
-    return psnr(view.color[view.mask][None], view.truth[view.mask][None]) if bool(view.mask.any()) else None
+    return psnr(view.color, view.truth) if view.mask is None else _psnr_of(view, view.mask)
+
+
+@IMAGE_METRICS.register("psnr_view_dependent")
+def _psnr_view_dependent(view: Comparison) -> Measured:
+    return None if view.specular is None else _psnr_of(view, view.specular >= VIEW_DEPENDENT)
+
+
+@IMAGE_METRICS.register("psnr_diffuse")
+def _psnr_diffuse(view: Comparison) -> Measured:
+    return None if view.specular is None else _psnr_of(view, view.specular < VIEW_DEPENDENT)
+
+
+def _psnr_of(view: Comparison, chosen: Tensor) -> float | None:
+    """Of the chosen pixels that are not masked; None where there are none."""
+    counted = chosen if view.mask is None else chosen & view.mask
+    return psnr(view.color[counted][None], view.truth[counted][None]) if bool(counted.any()) else None
 
 
 @IMAGE_METRICS.register("ssim")
