@@ -269,14 +269,22 @@ def _sum(x: Any, first: int, width: int) -> float:
 
 
 @jit
-def prepare(operations: Any, shape: Shape, tables: Tables, extra: Any, first: Any, psi: Any) -> None:
-    """Fills psi (2, 2^n), real and imaginary parts: the state before the first data, from the state `first`."""
+def prepare(once: int, operations: Any, shape: Shape, tables: Tables, extra: Any, first: Any, psi: Any) -> None:
+    """Fills psi (2, 2^n), real and imaginary parts: the state before the first data, from the state `first`.
+
+    `operations[:once]` run, then the fixed phases of the next one, if it begins with phases.
+    """
     n, width = shape.n, shape.width
     x = np.zeros(_layout(0, n, width, 2, 0, 0, 0, 0).end + 64, psi.dtype)
     at = _layout(start_of_line(x), n, width, 2, 0, 0, 0, 0)
-    here = _forward(x, at, n, width, operations, tables.flip_masks, tables, first, extra, 0, NOT_STORED)
+    here = _forward(x, at, n, width, operations[:once], tables.flip_masks, tables, first, extra, 0, NOT_STORED)
+    row = operations[once, TABLE]
     for b in range(1 << n):
-        psi[0, b], psi[1, b] = x[here + b * width], x[here + ((1 << n) + b) * width]
+        real, imaginary = x[here + b * width], x[here + ((1 << n) + b) * width]
+        if row >= 0:
+            u, v = tables.diagonals[row, 0, b], tables.diagonals[row, 1, b]
+            real, imaginary = u * real - v * imaginary, u * imaginary + v * real
+        psi[0, b], psi[1, b] = real, imaginary
 
 
 @jit
