@@ -116,7 +116,7 @@ def _flag(value: int, extra: Any) -> Any:
     return value == 1
 
 
-@jit
+@inner
 def _forward(
     x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, tables: Tables, psi: Any, extra: Any,
     block: int, store_states: bool,
@@ -179,7 +179,7 @@ def _gradients(
             store(x, total, load(x, total) + splat(factors[k]) * value)
 
 
-@jit
+@inner
 def _backward(
     x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, squares: Any, taps: Any, factors: Any,
     tables: Tables, extra: Any, here: int, stored: bool,
