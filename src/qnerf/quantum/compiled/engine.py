@@ -20,7 +20,7 @@ from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import loop_threads, run
 from qnerf.kernels.simd import VECTOR_BYTES, lanes
 from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.compiled.sweeps import Moving, Shape, backward, forward, prepare, prepare_backward
+from qnerf.quantum.compiled.sweeps import Moving, Shape, backward, forward, prepare_backward
 from qnerf.quantum.compiled.tables import FIXED, Extra, Measurement, ProgramArrays, Tables, bind
 from qnerf.quantum.program import Program
 from qnerf.quantum.statevector import PlainCircuit
@@ -70,7 +70,7 @@ class _Run:
         angles, x = fixed.detach().numpy()[0], inputs.detach().numpy()
         stored = arrays.stored_states * 2 * (self.width << n) * np.dtype(self.kind).itemsize <= STORED_BYTES
         self.stored = np.bool_(stored)
-        self.shape = Shape(n, self.width, arrays.stored_states if stored else 2, x.shape[1])
+        self.shape = Shape(n, self.width, max(2, arrays.stored_states) if stored else 2, x.shape[1])
         self.count = len(angles)
         frame = self._bind(angles)
         blocks = to_blocks(x if len(x) == batch else np.broadcast_to(x, (batch, x.shape[1])), self.width)
@@ -87,8 +87,6 @@ class _Run:
             else:
                 self.first = (np.stack([amplitudes[0].real, amplitudes[0].imag]) * self.amplitude).astype(self.kind)
         self.extra = None if arrays.is_plain else self._extra(angles, frame, starts)
-        self.shared = np.empty((2, 2**n), self.kind)
-        prepare(arrays.once, arrays.steps.operations, self.shape, self.tables, self.extra, self.first, self.shared)
 
     def _bind(self, angles: np.ndarray) -> np.ndarray:
         arrays, n, kind = self.engine.arrays, self.n, self.kind
@@ -128,7 +126,7 @@ class _Run:
         """Arguments that `forward` and `backward` begin with."""
         arrays, parts = self.engine.arrays, self.parts
         return (
-            parts, parts, arrays.per_sample, arrays.once, self.shape, self.moving, self.shared, self.tables,
+            parts, parts, arrays.applied, arrays.once, self.shape, self.moving, self.first, self.tables,
             self.measurement, self.extra,
         )  # fmt: skip
 

@@ -39,10 +39,8 @@ from qnerf.quantum.compiled.tables import (
     Tables,
 )
 
-# Numba compiles a function once more for every True and False of Python's that it is called with.
-FORWARD = STORED = np.bool_(True)
-BACK = NOT_STORED = np.bool_(False)
-ABOUT_X, ABOUT_Y = np.bool_(True), np.bool_(False)
+FORWARD, BACK = True, False
+ABOUT_X, ABOUT_Y = True, False
 
 
 class Layout(NamedTuple):
@@ -268,16 +266,16 @@ def _sum(x: Any, first: int, width: int) -> float:
     return value
 
 
-@jit
-def prepare(once: int, operations: Any, shape: Shape, tables: Tables, extra: Any, first: Any, psi: Any) -> None:
-    """Fills psi (2, 2^n), real and imaginary parts: the state before the first data, from the state `first`.
+@inner
+def _prepared(
+    x: Any, at: Layout, n: int, width: int, once: int, operations: Any, tables: Tables, extra: Any, first: Any
+) -> Any:
+    """The state (2, 2^n) before the first data: `operations[:once]` on the state `first`.
 
-    `operations[:once]` run, then the fixed phases of the next one, if it begins with phases.
+    With the fixed phases of the next operation, if it begins with phases.
     """
-    n, width = shape.n, shape.width
-    x = np.zeros(_layout(0, n, width, 2, 0, 0, 0, 0).end + 64, psi.dtype)
-    at = _layout(start_of_line(x), n, width, 2, 0, 0, 0, 0)
-    here = _forward(x, at, n, width, operations[:once], tables.flip_masks, tables, first, extra, 0, NOT_STORED)
+    psi = np.empty_like(first)
+    here = _forward(x, at, n, width, operations[:once], tables.flip_masks, tables, first, extra, 0, False)
     row = operations[once, TABLE]
     for b in range(1 << n):
         real, imaginary = x[here + b * width], x[here + ((1 << n) + b) * width]
@@ -285,6 +283,7 @@ def prepare(once: int, operations: Any, shape: Shape, tables: Tables, extra: Any
             u, v = tables.diagonals[row, 0, b], tables.diagonals[row, 1, b]
             real, imaginary = u * real - v * imaginary, u * imaginary + v * real
         psi[0, b], psi[1, b] = real, imaginary
+    return psi
 
 
 @jit
@@ -294,7 +293,7 @@ def prepare_backward(
 ) -> None:  # fmt: skip
     """Adds the gradients of the angles before the first data to `sums_out` (taps,).
 
-    `adjoint` (2, 2^n) is the adjoint of the state psi that `prepare` makes; it becomes that of the state `first`.
+    `adjoint` (2, 2^n) is the adjoint of the state before the first data; it becomes that of the state `first`.
     """
     n, width = shape.n, shape.width
     count = len(taps)
@@ -342,25 +341,27 @@ def _read(x: Any, at: Layout, moving: Moving, block: int, n: int, width: int, ex
 
 @jit
 def forward(
-    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, psi: Any,
+    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, start: Any,
     tables: Tables, measurement: Measurement, extra: Any, expectations: Any, out: Any,
 ) -> None:  # fmt: skip
     """The blocks of samples in the parts first..last.
 
+    start (2, 2^n): the state that the first of the operations acts on; `once` of them are the same for all samples
     expectations (blocks, 2, n, width): <Z> and <X> before the last RY layer, if it is part of the measurement
     out (blocks, values, width)
     """
     measures_last_layer, masks, signs, last_layer = measurement
     n, width = shape.n, shape.width
     blocks, count, phases = out.shape[0], moving.trig.shape[2], len(moving.singles)
-    x = np.empty(_layout(0, n, width, 2, phases, count, 0, 0).end + 64, psi.dtype)
+    x = np.empty(_layout(0, n, width, 2, phases, count, 0, 0).end + 64, start.dtype)
     at = _layout(start_of_line(x), n, width, 2, phases, count, 0, 0)
     q, d = at.scratch, at.gradients
-    flips = tables.flip_masks[once:]
+    psi = _prepared(x, at, n, width, once, operations, tables, extra, start)
+    operations, flips = operations[once:], tables.flip_masks[once:]
     # A block of samples at a time, through the whole circuit, while its state is in cache.
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, moving, block, n, width, extra)
-        end = _forward(x, at, n, width, operations, flips, tables, psi, extra, block, NOT_STORED)
+        end = _forward(x, at, n, width, operations, flips, tables, psi, extra, block, False)
         forward_passes.probabilities(x, end, n, width, q)
         if extra is not None:
             _measure_extra(x, at, end, n, width, len(masks), extra, block, out)
@@ -441,7 +442,7 @@ def _apply_extra(x: Any, at: Layout, state: int, n: int, width: int, first: int,
 
 @jit
 def backward(
-    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, psi: Any,
+    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, start: Any,
     tables: Tables, measurement: Measurement, extra: Any, expectations: Any, last_taps: Any, taps: Any, factors: Any,
     gradient: Any, stored: bool, inputs_out: Any, sums_out: Any, adjoint_out: Any, starts_out: Any,
 ) -> None:  # fmt: skip
@@ -450,17 +451,18 @@ def backward(
     last_taps (n,): the tap of each wire in the last RY layer, if it is part of the measurement; -1 for none
     inputs_out (blocks, K, width): of the inputs
     sums_out (parts, taps): of the angles, summed over each part
-    adjoint_out (parts, 2, 2^n): of psi, summed over each part
+    adjoint_out (parts, 2, 2^n): of the state before the first data, summed over each part
     starts_out (blocks, 2, 2^n, width): of the starts, if each sample has its own
     """
     measures_last_layer, masks, signs, last_layer = measurement
     n, width, states, columns = shape
     blocks, count, phases = gradient.shape[0], moving.trig.shape[2], len(moving.singles)
     size = width << n
-    x = np.zeros(_layout(0, n, width, states, phases, count, len(taps), columns).end + 64, psi.dtype)
+    x = np.zeros(_layout(0, n, width, states, phases, count, len(taps), columns).end + 64, start.dtype)
     at = _layout(start_of_line(x), n, width, states, phases, count, len(taps), columns)
     adjoint = at.adjoint
-    flips, squares = tables.flip_masks[once:], tables.squares[once:]
+    psi = _prepared(x, at, n, width, once, operations, tables, extra, start)
+    operations, flips, squares = operations[once:], tables.flip_masks[once:], tables.squares[once:]
     # A part is a fixed range of blocks with sums of its own, whichever thread takes it. The sums over all parts are
     # taken in order afterwards, so the bits do not depend on the number of threads.
     for part in range(first, last):

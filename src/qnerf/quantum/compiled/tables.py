@@ -85,7 +85,7 @@ class ProgramArrays:
     Attributes:
         once: number of operations that run once for a batch, on |0...0> or the start.
         steps: all operations, and the last RY layer if it is part of the measurement.
-        per_sample: (operations, 11) those that run for every sample.
+        applied: (operations, 11) without a last RY layer that is part of the measurement.
         factors: (taps,) the input's factor in the angle.
         last_taps: (n,) the tap of each wire in the last RY layer, if it is part of the measurement; -1 for none.
         singles: (phases, n) the number of the moving angle of each wire; that past the last one stands for 0.
@@ -114,7 +114,7 @@ class ProgramArrays:
             _integers(self.pairs, 3), _integers(self.turn_rows, 6),
         )  # fmt: skip
         self.measures_last_layer = np.bool_(program.measures_last_layer)
-        self.per_sample = self.steps.operations[self.once : len(self.rows) - program.measures_last_layer]
+        self.applied = self.steps.operations[: len(self.rows) - program.measures_last_layer]
         self.last_taps = np.full(n, -1, dtype=np.int64)
         if program.measures_last_layer:
             for tap in range(self.rows[-1][FIRST], self.rows[-1][LAST]):
