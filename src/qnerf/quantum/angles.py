@@ -9,7 +9,8 @@ from torch import Tensor
 
 from qnerf.quantum.blocks import Diagonal, Turn, rotations_of
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import PRODUCTS, Factors, Program
+from qnerf.quantum.one_wire import Factors
+from qnerf.quantum.program import PRODUCTS, Program
 from qnerf.quantum.words import Word
 
 

@@ -20,8 +20,9 @@ from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import loop_threads, run
 from qnerf.kernels.simd import VECTOR_BYTES, lanes
 from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.compiled.sweeps import Moving, Shape, backward, forward, prepare_backward
+from qnerf.quantum.compiled.sweeps import Moving, backward, forward, prepare_backward
 from qnerf.quantum.compiled.tables import FIXED, Extra, Measurement, ProgramArrays, Tables, bind
+from qnerf.quantum.compiled.work_array import Shape
 from qnerf.quantum.program import Program
 from qnerf.quantum.statevector import PlainCircuit
 
