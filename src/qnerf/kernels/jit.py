@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numba
 import numpy as np
 import torch
-from numba.core import event
+from numba.core import event, types
 
 Kernel: TypeAlias = Callable[..., Any]
 
@@ -41,12 +41,21 @@ def jit(function: Kernel, **options: Any) -> Kernel:
     """
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise ValueError("NUMBA_DISABLE_JIT: expected to be unset, because the loops of qnerf only exist compiled")
-    options |= {"nogil": True, "error_model": "numpy"}
+    options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # only C code would call that
     try:
         kernel: Any = numba.njit(function, cache=True, **options)
     except RuntimeError:  # "no locator available": no folder for the cache can be written
         kernel = numba.njit(function, cache=False, **options)
     _kernels.add(kernel)
+    template = kernel.get_call_template
+
+    def without_numbers(arguments: Any, named: dict[str, Any]) -> Any:
+        """What calls with these types run: Numba would compile a function once more for every number in a call."""
+        return template(
+            tuple(map(types.unliteral, arguments)), {name: types.unliteral(kind) for name, kind in named.items()}
+        )
+
+    kernel.get_call_template = without_numbers
     return kernel
 
 

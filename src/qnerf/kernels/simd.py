@@ -44,7 +44,7 @@ AVX-512 they take 0.64 to 0.83 times as long, and 1.05 with 10 wires.
 
 def inner(function: Callable[..., Any]) -> Callable[..., Any]:
     """`jit` for functions that only compiled code calls. What Python would need to call them is not compiled."""
-    return jit(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return jit(function, no_cpython_wrapper=True)
 
 
 def lanes(itemsize: int) -> int:

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from qnerf.quantum.blocks import Diagonal, Turn, rotations_of
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import PRODUCTS, Factors, Program
+from qnerf.quantum.one_wire import Factors
+from qnerf.quantum.program import PRODUCTS, Program
 from qnerf.quantum.words import Word
 
 
@@ -34,31 +35,39 @@ class ExpressionTable:
         self.size, self.fixed = len(expressions), fixed
         rows = [row for row, *_ in terms]
         self.in_order = rows == list(range(self.size))  # one term each
-        # Factor k of every term; -1 stands for the number 1.
-        of_weights = _padded([[first[name] + index for name, index in weights] for _, _, weights, _ in terms])
-        of_features = _padded([list(features) for *_, features in terms])
+        # Factor k of every term; the place behind the last weight or feature stands for the number 1.
+        count = sum(map(prod, parameters.values()))
+        of_weights = _padded([[first[name] + index for name, index in weights] for _, _, weights, _ in terms], count)
+        of_features = _padded([list(features) for *_, features in terms], -1)
+        self.takes_one = any(count in each for each in of_weights)
         # Arrays, because a tensor that is made inside a mode of PyTorch, such as that of torch.export, keeps it.
-        numbers = np.array([number for _, number, _, _ in terms], dtype=np.float64)
-        indices = (np.array(each, dtype=np.int64) for each in (rows, of_weights, of_features))
-        self.rows, self.numbers, self.of_weights, self.of_features = next(indices), numbers, *indices
+        self.rows, self.of_weights, self.of_features = (
+            np.array(each, dtype=np.int64) for each in (rows, of_weights, of_features)
+        )
+        self.numbers = np.array([number for _, number, _, _ in terms], dtype=np.float64)
+        self.is_sum = bool((self.numbers == 1).all())
 
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
         """Values for inputs x (B, features) and flat weights."""
-        arrays = self.rows, self.numbers, self.of_weights, self.of_features
-        rows, coefficients, of_weights, of_features = (_tensor(each, weights.device) for each in arrays)
-        values = coefficients
-        padded = torch.cat([weights.double(), weights.new_ones(1, dtype=torch.float64)])
-        for index in of_weights:
-            values = values * padded[index]
+        # Every call of PyTorch counts: a step of a small batch takes no longer than two dozen of them.
+        factors = weights.double()
+        if self.takes_one:
+            factors = torch.cat([factors, factors.new_ones(1)])
+        values = None if self.is_sum and len(self.of_weights) else _tensor(self.numbers, weights.device)
+        for index in self.of_weights:
+            found = factors.index_select(0, _tensor(index, weights.device))
+            values = found if values is None else values * found
+        assert values is not None
         values = values[None]
         if not self.fixed:
             inputs = torch.cat([x.double(), x.new_ones(x.shape[0], 1, dtype=torch.float64)], 1)
-            if not len(of_features):
+            if not len(self.of_features):
                 values = values.expand(x.shape[0], -1)
-            for index in of_features:
-                values = values * inputs[:, index]
+            for index in self.of_features:
+                values = values * inputs[:, _tensor(index, weights.device)]
         if self.in_order:
             return values
+        rows = _tensor(self.rows, weights.device)
         return values.new_zeros(values.shape[0], self.size).index_add(1, rows, values)
 
 
@@ -68,10 +77,10 @@ def _tensor(array: np.ndarray, device: torch.device) -> Tensor:
     return torch.empty(array.shape, dtype=torch.float64 if array.dtype.kind == "f" else torch.int64, device=device)
 
 
-def _padded(rows: list[list[int]]) -> list[list[int]]:
-    """Lists of indices -> for each position the index in every list, -1 past its end."""
+def _padded(rows: list[list[int]], end: int) -> list[list[int]]:
+    """Lists of indices -> for each position the index in every list, `end` past its end."""
     longest = max(map(len, rows), default=0)
-    return [[row[k] if k < len(row) else -1 for row in rows] for k in range(longest)]
+    return [[row[k] if k < len(row) else end for row in rows] for k in range(longest)]
 
 
 class Inputs:

@@ -163,3 +163,16 @@ def union(words: Iterable[Word]) -> tuple[int, int]:
     for word in words:
         x, z = x | word.x, z | word.z
     return x, z
+
+
+def merged(blocks: Iterable[Block]) -> list[Block]:
+    """The blocks, neighbours of one kind as one."""
+    out: list[Block] = []
+    for block in blocks:
+        last = out[-1] if out else None
+        if isinstance(block, Diagonal | RYLayer | Tilts) and type(last) is type(block):
+            for mask, angle in block.angles.items():
+                last.add(Word(0, mask, 0), angle)
+        else:
+            out.append(block)
+    return out

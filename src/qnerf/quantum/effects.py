@@ -21,7 +21,8 @@ from qnerf.quantum.basis import bit
 from qnerf.quantum.blocks import rotations_of, traced, union
 from qnerf.quantum.circuit import ANSATZE, Circuit, values_of
 from qnerf.quantum.expressions import Expression
-from qnerf.quantum.program import half_turns, program
+from qnerf.quantum.one_wire import half_turns
+from qnerf.quantum.program import program
 from qnerf.quantum.words import Word, bits
 
 SHOWN = 5  # names in one line

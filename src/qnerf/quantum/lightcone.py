@@ -8,7 +8,7 @@ will do. A wide one is several smaller ones (`registers`).
 """
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import chain
 from math import pi, prod
 from typing import Any
@@ -52,9 +52,10 @@ class PolynomialForm:
     counts: np.ndarray
     base_frequencies: np.ndarray
 
-    @property
-    def most_coefficients(self) -> int:
-        return max(cone.coefficients for cone in self.cones.cones)
+    @cached_property
+    def uses_all(self) -> bool:
+        """Whether every feature is in a cone."""
+        return len(self.used) == len(self.base_frequencies)
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ class LightCones:
 
     def from_values(self, values: Tensor) -> Tensor:
         """Coefficients (values, most coefficients) of the polynomials with these values (points, values)."""
-        return (torch.from_numpy(self.grid.matrix).to(values) @ values.T[:, :, None])[..., 0]
+        return (torch.from_numpy(self.grid.matrix).to(values) * values.T[:, None]).sum(2)
 
     def evaluate(self, plain: PlainCircuit, simulate: Simulate, x: Tensor, weights: Tensor, compiled: bool) -> Tensor:
         """Outputs (B, outputs) of the circuit, by polynomials whose coefficients come from `simulate`."""
@@ -205,7 +206,8 @@ class _Polynomials(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, form: PolynomialForm, x: Tensor, coefficients: Tensor) -> Tensor:
         table = coefficients.detach().numpy()
-        angles = to_blocks(x.detach().numpy()[:, form.used], lanes(table.itemsize))
+        own = x.detach().numpy()
+        angles = to_blocks(own if form.uses_all else own[:, form.used], lanes(table.itemsize))
         trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), table.dtype)
         cos_sin(angles, form.base_frequencies[form.used], trig.swapaxes(0, 1))
         out = np.empty((trig.shape[0], len(form.counts), trig.shape[3]), table.dtype)
@@ -231,6 +233,7 @@ class _Polynomials(torch.autograd.Function):
         upstream = to_blocks(gradient.detach().resolve_neg().numpy(), width)
         run(polynomial.gradients, parts, parts, *arguments, upstream, inputs, sums)
         inputs *= form.base_frequencies[form.used][:, None].astype(table.dtype)
-        dx = np.zeros(x.shape, table.dtype)
-        dx[:, form.used] = from_blocks(inputs, len(x))
-        return None, torch.from_numpy(dx), torch.from_numpy(sums.sum(0)).to(coefficients.dtype)
+        dx = from_blocks(inputs, len(x))
+        if not form.uses_all:
+            dx = torch.zeros_like(x).index_copy_(1, torch.from_numpy(form.used), dx)
+        return None, dx, torch.from_numpy(sums.sum(0)).to(coefficients.dtype)

@@ -22,7 +22,7 @@ them become other phases. What has no effect on the start or on what is measured
 3
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain, zip_longest
@@ -40,6 +40,7 @@ from qnerf.quantum.blocks import (
     RYLayer,
     Tilts,
     Turn,
+    merged,
     moves,
     rotations_of,
     traced,
@@ -49,10 +50,9 @@ from qnerf.quantum.blocks import (
 from qnerf.quantum.circuit import Circuit, Gate, Observable, PauliWord, Probabilities, as_sum, values_of
 from qnerf.quantum.expressions import Expression, weight
 from qnerf.quantum.gates import Amplitudes
+from qnerf.quantum.one_wire import Factors, Product, append, half_turns, with_moving_phases
 from qnerf.quantum.words import Word, bits, through_cnot
 
-TOLERANCE = 1e-13  # an angle this near to a multiple of pi, in units of pi, is one
-LARGEST_MULTIPLE = 64  # beyond, the rounding of the angle says nothing about multiples of pi
 TURN_COST, LAYER_COST, TILT_COST, CNOT_COST = 19, 8, 2, 8
 """Multiply-adds for each amplitude, forward and backward, or what takes as long: of a turn, of a wire in a layer of RY
 or of tilts, of a permutation."""
@@ -60,8 +60,6 @@ or of tilts, of a permutation."""
 
 PRODUCT_WIRES = 7  # below, a layer of the state is quicker than working out the angles of a product
 PRODUCTS = "one-wire products"  # no identifier, as names of weights are
-Factors = tuple[tuple[Word, Expression], ...]
-Product = list[tuple[Word, Expression]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +265,7 @@ class _Builder:
         """A rotation about a word, at the end of the circuit."""
         place = word.support
         if place.bit_count() == 1 and (word.x or place in self.waiting):
-            _append(self.waiting.setdefault(place, []), word, angle)
+            append(self.waiting.setdefault(place, []), word, angle)
             return
         self.flush(place)
         angle = self._carried_past(word, angle)
@@ -299,10 +297,10 @@ class _Builder:
         """The waiting rotations of a wire as phases, tilts, RY, phases, and so on in turn."""
         slots: list[Product] = [[]]
         core: Product = []  # rotations without data, the first of them about X or Y
-        for word, angle in _with_moving_phases(self.waiting.pop(place)):
+        for word, angle in with_moving_phases(self.waiting.pop(place)):
             angle = self._carried_past(word, angle)
             if word.x or (core and not angle.features):
-                _append(core, word, angle)
+                append(core, word, angle)
             else:
                 slots[-1:] = self._turned(slots[-1], core, place)
                 slots[-1].append((word, angle))
@@ -404,7 +402,7 @@ class _Builder:
                         del block.pairs[k]
                         for each in turned:
                             turn_phases(each, control, target)
-                        self.blocks = _merged(own for own in self.blocks if own is not block or block.pairs)
+                        self.blocks = merged(own for own in self.blocks if own is not block or block.pairs)
                         return True
                     if a == target or b == control:
                         return False
@@ -429,7 +427,7 @@ class _Builder:
             if own is not None:
                 kept.append(own)
         return measured.program(
-            self.circuit, tuple(_small_layers_turned(_merged(kept[::-1]), self.n)), tuple(map(tuple, self.products))
+            self.circuit, tuple(_small_layers_turned(merged(kept[::-1]), self.n)), tuple(map(tuple, self.products))
         )
 
     def _as_z(self) -> tuple[Observable, ...]:
@@ -444,19 +442,6 @@ class _Builder:
                 turn = ("X", pi / 2) if letter == "Y" else ("Y", -pi / 2)
                 self.add(Word.of(turn[0], (wire,), self.n), Expression.of(turn[1]))
         return tuple(((word[0][0], "Z"),) for word in observables if isinstance(word, tuple))
-
-
-def _merged(blocks: Iterable[Block]) -> list[Block]:
-    """The blocks, neighbours of one kind as one."""
-    out: list[Block] = []
-    for block in blocks:
-        last = out[-1] if out else None
-        if isinstance(block, Diagonal | RYLayer | Tilts) and type(last) is type(block):
-            for mask, angle in block.angles.items():
-                last.add(Word(0, mask, 0), angle)
-        else:
-            out.append(block)
-    return out
 
 
 def _small_layers_turned(blocks: list[Block], n: int) -> list[Block]:
@@ -519,38 +504,3 @@ class _Measured:
         observed = tuple(map(tuple, self.words))
         combined = None if are_values else combination
         return Program(circuit, blocks, observed, tuple(columns), combined, constants, products)
-
-
-def _append(factors: Product, word: Word, angle: Expression) -> None:
-    """Adds a rotation of one wire; one about the same word as the last one merges with it."""
-    if factors and factors[-1][0] == word:
-        angle = factors.pop()[1] + angle
-    if angle.terms:
-        factors.append((word, angle))
-
-
-def _with_moving_phases(factors: Product) -> Product:
-    """The rotations of one wire, those by data about Z alone.
-
-    RX(a) = RY(pi/2) RZ(a) RY(-pi/2) and RY(a) = RZ(pi/2) RX(a) RZ(-pi/2), by an angle that depends on data.
-    """
-    out: Product = []
-    quarter = Expression.of(pi / 2)
-    for word, angle in factors:
-        if not (word.x and angle.features):
-            _append(out, word, angle)
-            continue
-        y, z = Word(word.x, word.x, 1), Word(0, word.x, 0)
-        own = quarter if word.z else Expression()
-        for part, turn in ((z, -own), (y, -quarter), (z, angle), (y, quarter), (z, own)):
-            _append(out, part, turn)
-    return out
-
-
-def half_turns(angle: Expression) -> int | None:
-    """The angle as a multiple of pi if it is one, else None."""
-    constant = angle.constant
-    if constant is None:
-        return None
-    whole = round(constant / pi)
-    return whole if abs(constant / pi - whole) <= TOLERANCE and abs(whole) <= LARGEST_MULTIPLE else None

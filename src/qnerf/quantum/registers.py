@@ -19,7 +19,8 @@ from qnerf.quantum.circuit import Circuit, Hamiltonian, Observable, PauliWord, P
 from qnerf.quantum.cones import trace
 from qnerf.quantum.expressions import Expression, Weights
 from qnerf.quantum.gates import Amplitudes, Gate
-from qnerf.quantum.program import half_turns, program
+from qnerf.quantum.one_wire import half_turns
+from qnerf.quantum.program import program
 
 SMALL = 6  # wires: cones join one register up to here, because a smaller state saves nothing
 WHOLE = 10  # wires: circuits up to here stay one

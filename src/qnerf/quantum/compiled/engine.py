@@ -20,19 +20,9 @@ from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import loop_threads, run
 from qnerf.kernels.simd import VECTOR_BYTES, lanes
 from qnerf.quantum.circuit import Circuit
-from qnerf.quantum.compiled.sweeps import Moving, Shape, backward, forward, prepare, prepare_backward
-from qnerf.quantum.compiled.tables import (
-    FIRST,
-    FIXED,
-    LAST,
-    SOURCE,
-    TABLE,
-    Extra,
-    Measurement,
-    ProgramArrays,
-    Tables,
-    bind,
-)
+from qnerf.quantum.compiled.sweeps import Moving, backward, forward, prepare_backward
+from qnerf.quantum.compiled.tables import FIXED, Extra, Measurement, ProgramArrays, Tables, bind
+from qnerf.quantum.compiled.work_array import Shape
 from qnerf.quantum.program import Program
 from qnerf.quantum.statevector import PlainCircuit
 
@@ -78,15 +68,13 @@ class _Run:
         arrays, self.engine, self.batch = engine.arrays, engine, batch
         self.kind: Any = np.float32 if dtype == torch.float32 else np.float64
         n, self.n, self.width = arrays.n, arrays.n, lanes(np.dtype(self.kind).itemsize)
-        angles = fixed.detach().numpy()[0]
+        angles, x = fixed.detach().numpy()[0], inputs.detach().numpy()
         stored = arrays.stored_states * 2 * (self.width << n) * np.dtype(self.kind).itemsize <= STORED_BYTES
         self.stored = np.bool_(stored)
-        columns = inputs.shape[1]
-        self.shape = Shape(n, self.width, arrays.stored_states if stored else 2, columns)
+        self.shape = Shape(n, self.width, max(2, arrays.stored_states) if stored else 2, x.shape[1])
         self.count = len(angles)
         frame = self._bind(angles)
-        x = inputs.detach().numpy()
-        blocks = to_blocks(np.broadcast_to(x, (batch, columns)), self.width)
+        blocks = to_blocks(x if len(x) == batch else np.broadcast_to(x, (batch, x.shape[1])), self.width)
         self.moving = Moving(self._trig(blocks), arrays.singles)
         starts = np.zeros((0, 2, 2**n, self.width), self.kind)
         self.first = np.zeros((2, 2**n), self.kind)
@@ -100,26 +88,21 @@ class _Run:
             else:
                 self.first = (np.stack([amplitudes[0].real, amplitudes[0].imag]) * self.amplitude).astype(self.kind)
         self.extra = None if arrays.is_plain else self._extra(angles, frame, starts)
-        self._start()
 
     def _bind(self, angles: np.ndarray) -> np.ndarray:
         arrays, n, kind = self.engine.arrays, self.n, self.kind
         diagonals, operations = len(arrays.steps.constants), len(arrays.steps.operations)
         tables = Tables(
-            np.zeros((arrays.layers, n)), np.zeros((diagonals, 2, 2**n)), np.zeros(operations, np.int64),
-            np.zeros(len(arrays.steps.taps)), np.ones(operations), arrays.permutations,
+            np.zeros((arrays.layers, n)), np.empty((diagonals, 2, 2**n)), np.empty(operations, np.int64),
+            np.zeros(len(arrays.steps.taps)), np.empty(operations), arrays.permutations,
         )  # fmt: skip
-        last_layer, frame = np.zeros((4, n)), np.zeros((len(arrays.steps.turns) + 1, 2), np.int64)
-        measured = Measurement(
-            arrays.program.measures_last_layer, arrays.masks, np.ones(len(arrays.masks), kind), last_layer
+        frame = np.empty((len(arrays.steps.turns) + 1, 2), np.int64)
+        self.measurement = Measurement(
+            arrays.measures_last_layer, arrays.masks, np.empty(len(arrays.masks), kind), np.empty((4, n), kind)
         )
-        self.amplitude = bind(arrays.steps, angles, n, np.zeros((2, 2**n)), measured, tables, frame)
-        # What is left of the frame at the end flips signs of what is measured.
-        odd = np.bitwise_count(arrays.masks & frame[-1, 0]) & 1
-        self.measurement = measured._replace(
-            signs=np.where(odd, -1, 1).astype(kind), last_layer=last_layer.astype(kind)
-        )
-        self.tables = tables._replace(tangents=tables.tangents.astype(kind), diagonals=tables.diagonals.astype(kind))
+        spare = np.empty((2, 2**n))
+        self.amplitude = bind(arrays.steps, angles, n, spare, self.measurement, tables, frame)
+        self.tables = Tables(tables.tangents.astype(kind), tables.diagonals.astype(kind), *tables[2:])
         self.factors = (arrays.factors * tables.signs).astype(kind)
         return frame
 
@@ -132,17 +115,6 @@ class _Run:
         outcomes = np.ascontiguousarray(arrays.outcomes[:, np.arange(2**self.n) ^ frame[-1, 0]])
         return Extra(turns, fixed, arrays.products, words, outcomes, arrays.firsts, starts)
 
-    def _start(self) -> None:
-        """The state before the first data, with the fixed phases of the first data if these are phases."""
-        steps, once = self.engine.arrays.steps, self.engine.arrays.once
-        psi = np.empty((2, 2**self.n), self.kind)
-        prepare(steps.operations[:once], self.shape, self.tables, self.extra, self.first, psi)
-        row = int(steps.operations[once, TABLE])
-        if row >= 0:
-            u, v = self.tables.diagonals[row]
-            psi = np.stack([u * psi[0] - v * psi[1], u * psi[1] + v * psi[0]])
-        self.shared = psi
-
     def _trig(self, blocks: np.ndarray) -> np.ndarray:
         """cos and sin of half the moving angles: (blocks, columns, width) -> (blocks, 2, M, width)."""
         own = self.engine.angles.inputs
@@ -154,11 +126,8 @@ class _Run:
     def _shared_arguments(self) -> tuple[Any, ...]:
         """Arguments that `forward` and `backward` begin with."""
         arrays, parts = self.engine.arrays, self.parts
-        operations = arrays.steps.operations[
-            arrays.once : len(arrays.steps.operations) - arrays.program.measures_last_layer
-        ]
         return (
-            parts, parts, operations, arrays.once, self.shape, self.moving, self.shared, self.tables,
+            parts, parts, arrays.applied, arrays.once, self.shape, self.moving, self.first, self.tables,
             self.measurement, self.extra,
         )  # fmt: skip
 
@@ -182,26 +151,22 @@ class _Run:
     def backward(self, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gradients of the fixed angles (F,), the inputs (blocks, K, width) and the start or starts."""
         arrays, n, parts = self.engine.arrays, self.n, self.parts
-        steps, once = arrays.steps, arrays.once
+        steps, taps, moves = arrays.steps, arrays.steps.taps, self.engine.program.start_moves
         inputs = np.empty((self.blocks, self.shape.columns, self.width), self.kind)
-        sums, adjoints = np.zeros((parts, len(steps.taps))), np.zeros((parts, 2, 2**n))
-        starts = np.zeros((self.blocks if self.engine.program.start_moves else 0, 2, 2**n, self.width), self.kind)
-        taps, last_taps = steps.taps, np.full(n, -1, dtype=np.int64)
-        if self.engine.program.measures_last_layer:
-            for tap in range(*steps.operations[-1, [FIRST, LAST]]):
-                last_taps[taps[tap, SOURCE]] = tap
+        sums, adjoints = np.zeros((parts, len(taps))), np.zeros((parts, 2, 2**n))
+        starts = np.zeros((self.blocks if moves else 0, 2, 2**n, self.width), self.kind)
         run(
-            backward, *self._shared_arguments(), self.expectations, last_taps, taps, self.factors, gradient,
+            backward, *self._shared_arguments(), self.expectations, arrays.last_taps, taps, self.factors, gradient,
             self.stored, inputs, sums, adjoints, starts,
         )  # fmt: skip
         total, adjoint = sums.sum(0), adjoints.sum(0)
         prepare_backward(
-            steps.operations[:once], self.shape, taps, self.factors, self.tables, self.extra, self.first, adjoint,
-            total, self.stored,
+            steps.operations[: arrays.once], self.shape, taps, self.factors, self.tables, self.extra, self.first,
+            adjoint, total, self.stored,
         )  # fmt: skip
-        own = taps[:, FIXED] >= 0
-        fixed = np.bincount(taps[own, FIXED], (total * self.tables.signs)[own], self.count)
-        return fixed, inputs, starts if self.engine.program.start_moves else adjoint * self.amplitude
+        # Taps without a fixed angle, number -1, are counted before all others.
+        fixed = np.bincount(taps[:, FIXED] + 1, total * self.tables.signs, self.count + 1)[1:]
+        return fixed, inputs, starts if moves else adjoint * self.amplitude
 
 
 # The functions below take NumPy arrays rather than tensors. The arrays are small, and torch would wake its OpenMP
@@ -258,10 +223,11 @@ class _Simulate(torch.autograd.Function):
             return None, *gradients, *[None] * (5 - len(saved))
         upstream = to_blocks(gradient.detach().resolve_neg().numpy().astype(own.kind, copy=False), own.width)
         total, inputs, starts = own.backward(upstream)
-        to_inputs = from_blocks(inputs, own.batch).to(saved[1].dtype)
-        if saved[1].shape[0] != own.batch:
-            to_inputs = to_inputs.sum(0, keepdim=True)
-        to_start = None
+        to_inputs = to_start = None
+        if ctx.needs_input_grad[2]:
+            to_inputs = from_blocks(inputs, own.batch).to(saved[1].dtype)
+            if saved[1].shape[0] != own.batch:
+                to_inputs = to_inputs.sum(0, keepdim=True)
         if len(saved) > 2:
             parts = 2 * torch.from_numpy(starts).double()
             if own.engine.program.start_moves:

@@ -38,54 +38,10 @@ from qnerf.quantum.compiled.tables import (
     Measurement,
     Tables,
 )
+from qnerf.quantum.compiled.work_array import Layout, Shape, fill_zero, lane_sum, layout
 
-# Numba compiles a function once more for every True and False of Python's that it is called with.
-FORWARD = STORED = np.bool_(True)
-BACK = NOT_STORED = np.bool_(False)
-ABOUT_X, ABOUT_Y = np.bool_(True), np.bool_(False)
-
-
-class Layout(NamedTuple):
-    """Where the parts of a thread's flat work array begin. A state takes 2 width 2^n elements."""
-
-    state: int  # one state, or all that the backward pass stores
-    adjoint: int  # the adjoint state, and a spare one
-    scratch: int  # 2 2^n vectors
-    first_adjoint: int  # the adjoint of the state that all samples start from
-    phases: int  # phases x 2^n vectors: the input's phases of the basis states
-    trig: int  # 2 (M + 1) vectors: cos and sin of half the moving angles, then 1 and 0
-    sums: int  # a vector for each tap: gradients of angles, summed over blocks
-    inputs: int  # K vectors: gradients of the inputs
-    gradients: int  # 2 n vectors: of the operation at hand
-    factors: int  # 2 n vectors: of Z and X in the observable
-    signs: int  # 4 vectors: 1 and -1, then the sine of a turn and its negative
-    end: int
-
-
-@inner
-def _layout(start: int, n: int, width: int, states: int, phases: int, moving: int, taps: int, columns: int) -> Layout:
-    size = width << n
-    adjoint = start + 2 * states * size
-    scratch = adjoint + 4 * size
-    first_adjoint = scratch + 2 * size
-    phases_ = first_adjoint + 2 * size
-    trig = phases_ + phases * size
-    sums = trig + 2 * (moving + 1) * width
-    inputs = sums + taps * width
-    gradients = inputs + columns * width
-    factors = gradients + 2 * n * width
-    signs = factors + 2 * n * width
-    end = signs + 4 * width
-    return Layout(start, adjoint, scratch, first_adjoint, phases_, trig, sums, inputs, gradients, factors, signs, end)
-
-
-class Shape(NamedTuple):
-    """Numbers that the size of the work array depends on. Compiled loops take it as it is."""
-
-    n: Any
-    width: Any
-    states: Any
-    columns: Any
+FORWARD, BACK = True, False
+ABOUT_X, ABOUT_Y = True, False
 
 
 class Moving(NamedTuple):
@@ -116,7 +72,7 @@ def _flag(value: int, extra: Any) -> Any:
     return value == 1
 
 
-@jit
+@inner
 def _forward(
     x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, tables: Tables, psi: Any, extra: Any,
     block: int, store_states: bool,
@@ -179,7 +135,7 @@ def _gradients(
             store(x, total, load(x, total) + splat(factors[k]) * value)
 
 
-@jit
+@inner
 def _backward(
     x: Any, at: Layout, n: int, width: int, operations: Any, masks: Any, squares: Any, taps: Any, factors: Any,
     tables: Tables, extra: Any, here: int, stored: bool,
@@ -254,29 +210,23 @@ def _backward(
 
 
 @inner
-def _fill_zero(x: Any, first: int, vectors: int, width: int) -> None:
-    for i in range(first, first + vectors * width, width):
-        store(x, i, splat(x.dtype.type(0)))
+def _prepared(
+    x: Any, at: Layout, n: int, width: int, once: int, operations: Any, tables: Tables, extra: Any, first: Any
+) -> Any:
+    """The state (2, 2^n) before the first data: `operations[:once]` on the state `first`.
 
-
-@inner
-def _sum(x: Any, first: int, width: int) -> float:
-    keep_apart()
-    value = 0.0
-    for i in range(first, first + width):
-        value += x[i]
-    return value
-
-
-@jit
-def prepare(operations: Any, shape: Shape, tables: Tables, extra: Any, first: Any, psi: Any) -> None:
-    """Fills psi (2, 2^n), real and imaginary parts: the state before the first data, from the state `first`."""
-    n, width = shape.n, shape.width
-    x = np.zeros(_layout(0, n, width, 2, 0, 0, 0, 0).end + 64, psi.dtype)
-    at = _layout(start_of_line(x), n, width, 2, 0, 0, 0, 0)
-    here = _forward(x, at, n, width, operations, tables.flip_masks, tables, first, extra, 0, NOT_STORED)
+    With the fixed phases of the next operation, if it begins with phases.
+    """
+    psi = np.empty_like(first)
+    here = _forward(x, at, n, width, operations[:once], tables.flip_masks, tables, first, extra, 0, False)
+    row = operations[once, TABLE]
     for b in range(1 << n):
-        psi[0, b], psi[1, b] = x[here + b * width], x[here + ((1 << n) + b) * width]
+        real, imaginary = x[here + b * width], x[here + ((1 << n) + b) * width]
+        if row >= 0:
+            u, v = tables.diagonals[row, 0, b], tables.diagonals[row, 1, b]
+            real, imaginary = u * real - v * imaginary, u * imaginary + v * real
+        psi[0, b], psi[1, b] = real, imaginary
+    return psi
 
 
 @jit
@@ -286,13 +236,13 @@ def prepare_backward(
 ) -> None:  # fmt: skip
     """Adds the gradients of the angles before the first data to `sums_out` (taps,).
 
-    `adjoint` (2, 2^n) is the adjoint of the state psi that `prepare` makes; it becomes that of the state `first`.
+    `adjoint` (2, 2^n) is the adjoint of the state before the first data; it becomes that of the state `first`.
     """
     n, width = shape.n, shape.width
     count = len(taps)
     states = 1 + len(operations) if stored else 2
-    x = np.zeros(_layout(0, n, width, states, 0, 0, count, 0).end + 64, first.dtype)
-    at = _layout(start_of_line(x), n, width, states, 0, 0, count, 0)
+    x = np.zeros(layout(0, n, width, states, 0, 0, count, 0).end + 64, first.dtype)
+    at = layout(start_of_line(x), n, width, states, 0, 0, count, 0)
     store(x, at.signs, splat(x.dtype.type(1)))
     store(x, at.signs + width, splat(x.dtype.type(-1)))
     here = _forward(x, at, n, width, operations, tables.flip_masks, tables, first, extra, 0, stored)
@@ -334,25 +284,27 @@ def _read(x: Any, at: Layout, moving: Moving, block: int, n: int, width: int, ex
 
 @jit
 def forward(
-    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, psi: Any,
+    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, start: Any,
     tables: Tables, measurement: Measurement, extra: Any, expectations: Any, out: Any,
 ) -> None:  # fmt: skip
     """The blocks of samples in the parts first..last.
 
+    start (2, 2^n): the state that the first of the operations acts on; `once` of them are the same for all samples
     expectations (blocks, 2, n, width): <Z> and <X> before the last RY layer, if it is part of the measurement
     out (blocks, values, width)
     """
     measures_last_layer, masks, signs, last_layer = measurement
     n, width = shape.n, shape.width
     blocks, count, phases = out.shape[0], moving.trig.shape[2], len(moving.singles)
-    x = np.empty(_layout(0, n, width, 2, phases, count, 0, 0).end + 64, psi.dtype)
-    at = _layout(start_of_line(x), n, width, 2, phases, count, 0, 0)
+    x = np.empty(layout(0, n, width, 2, phases, count, 0, 0).end + 64, start.dtype)
+    at = layout(start_of_line(x), n, width, 2, phases, count, 0, 0)
     q, d = at.scratch, at.gradients
-    flips = tables.flip_masks[once:]
+    psi = _prepared(x, at, n, width, once, operations, tables, extra, start)
+    operations, flips = operations[once:], tables.flip_masks[once:]
     # A block of samples at a time, through the whole circuit, while its state is in cache.
     for block in range(blocks * first // parts, blocks * last // parts):
         _read(x, at, moving, block, n, width, extra)
-        end = _forward(x, at, n, width, operations, flips, tables, psi, extra, block, NOT_STORED)
+        end = _forward(x, at, n, width, operations, flips, tables, psi, extra, block, False)
         forward_passes.probabilities(x, end, n, width, q)
         if extra is not None:
             _measure_extra(x, at, end, n, width, len(masks), extra, block, out)
@@ -433,7 +385,7 @@ def _apply_extra(x: Any, at: Layout, state: int, n: int, width: int, first: int,
 
 @jit
 def backward(
-    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, psi: Any,
+    first: int, last: int, parts: int, operations: Any, once: int, shape: Shape, moving: Moving, start: Any,
     tables: Tables, measurement: Measurement, extra: Any, expectations: Any, last_taps: Any, taps: Any, factors: Any,
     gradient: Any, stored: bool, inputs_out: Any, sums_out: Any, adjoint_out: Any, starts_out: Any,
 ) -> None:  # fmt: skip
@@ -442,29 +394,30 @@ def backward(
     last_taps (n,): the tap of each wire in the last RY layer, if it is part of the measurement; -1 for none
     inputs_out (blocks, K, width): of the inputs
     sums_out (parts, taps): of the angles, summed over each part
-    adjoint_out (parts, 2, 2^n): of psi, summed over each part
+    adjoint_out (parts, 2, 2^n): of the state before the first data, summed over each part
     starts_out (blocks, 2, 2^n, width): of the starts, if each sample has its own
     """
     measures_last_layer, masks, signs, last_layer = measurement
     n, width, states, columns = shape
     blocks, count, phases = gradient.shape[0], moving.trig.shape[2], len(moving.singles)
     size = width << n
-    x = np.zeros(_layout(0, n, width, states, phases, count, len(taps), columns).end + 64, psi.dtype)
-    at = _layout(start_of_line(x), n, width, states, phases, count, len(taps), columns)
+    x = np.zeros(layout(0, n, width, states, phases, count, len(taps), columns).end + 64, start.dtype)
+    at = layout(start_of_line(x), n, width, states, phases, count, len(taps), columns)
     adjoint = at.adjoint
-    flips, squares = tables.flip_masks[once:], tables.squares[once:]
+    psi = _prepared(x, at, n, width, once, operations, tables, extra, start)
+    operations, flips, squares = operations[once:], tables.flip_masks[once:], tables.squares[once:]
     # A part is a fixed range of blocks with sums of its own, whichever thread takes it. The sums over all parts are
     # taken in order afterwards, so the bits do not depend on the number of threads.
     for part in range(first, last):
-        _fill_zero(x, at.sums, len(taps), width)
-        _fill_zero(x, at.first_adjoint, 2 << n, width)
+        fill_zero(x, at.sums, len(taps), width)
+        fill_zero(x, at.first_adjoint, 2 << n, width)
         for block in range(blocks * part // parts, blocks * (part + 1) // parts):
             _read(x, at, moving, block, n, width, extra)
             end = _forward(x, at, n, width, operations, flips, tables, psi, extra, block, stored)
             # The adjoint starts as sum_k g_k O_k |state>. Where the last RY layer is part of the measurement, O_k is
             # a Z + b X of the output's wire, and the angles of that layer have their gradients from <Z> and <X>.
             if measures_last_layer:
-                _fill_zero(x, at.factors, 2 * n, width)
+                fill_zero(x, at.factors, 2 * n, width)
                 for k in range(len(masks)):
                     j = _wire(masks[k], n)
                     a, b = at.factors + j * width, at.factors + (n + j) * width
@@ -477,7 +430,7 @@ def backward(
                 backward_passes.apply_observables(x, end, adjoint, n, width, at.factors, at.scratch)
             else:
                 # The same transform takes the gradients of the words to the eigenvalues of sum_k g_k O_k.
-                _fill_zero(x, at.scratch, 1 << n, width)
+                fill_zero(x, at.scratch, 1 << n, width)
                 for k in range(len(masks)):
                     for i in range(width):
                         x[at.scratch + masks[k] * width + i] = signs[k] * gradient[block, k, i]
@@ -489,7 +442,7 @@ def backward(
                     store(x, adjoint + size + i, value * load(x, end + size + i))
                 if extra is not None:
                     _apply_extra(x, at, end, n, width, len(masks), extra, gradient[block])
-            _fill_zero(x, at.inputs, columns, width)
+            fill_zero(x, at.inputs, columns, width)
             _backward(x, at, n, width, operations, flips, squares, taps, factors, tables, extra, end, stored)
             for j in range(columns):
                 for i in range(width):
@@ -501,7 +454,7 @@ def backward(
                             starts_out[block, side, b, i] = x[adjoint + ((side << n) + b) * width + i]
         # The lanes of each vector are samples; they are added up once a part.
         for k in range(len(taps)):
-            sums_out[part, k] = _sum(x, at.sums + k * width, width)
+            sums_out[part, k] = lane_sum(x, at.sums + k * width, width)
         for b in range(1 << n):
-            adjoint_out[part, 0, b] = _sum(x, at.first_adjoint + b * width, width)
-            adjoint_out[part, 1, b] = _sum(x, at.first_adjoint + size + b * width, width)
+            adjoint_out[part, 0, b] = lane_sum(x, at.first_adjoint + b * width, width)
+            adjoint_out[part, 1, b] = lane_sum(x, at.first_adjoint + size + b * width, width)

@@ -85,8 +85,9 @@ class ProgramArrays:
     Attributes:
         once: number of operations that run once for a batch, on |0...0> or the start.
         steps: all operations, and the last RY layer if it is part of the measurement.
-        per_sample: (operations, 11) those that run for every sample.
+        applied: (operations, 11) without a last RY layer that is part of the measurement.
         factors: (taps,) the input's factor in the angle.
+        last_taps: (n,) the tap of each wire in the last RY layer, if it is part of the measurement; -1 for none.
         singles: (phases, n) the number of the moving angle of each wire; that past the last one stands for 0.
     """
 
@@ -112,7 +113,12 @@ class ProgramArrays:
             np.array([[c.real, c.imag] for c in self.constants]).reshape(-1, 2, 2**n),
             _integers(self.pairs, 3), _integers(self.turn_rows, 6),
         )  # fmt: skip
-        self.per_sample = self.steps.operations[self.once : len(self.rows) - program.measures_last_layer]
+        self.measures_last_layer = np.bool_(program.measures_last_layer)
+        self.applied = self.steps.operations[: len(self.rows) - program.measures_last_layer]
+        self.last_taps = np.full(n, -1, dtype=np.int64)
+        if program.measures_last_layer:
+            for tap in range(self.rows[-1][FIRST], self.rows[-1][LAST]):
+                self.last_taps[self.taps[tap][SOURCE]] = tap
         self.factors = np.array(self.tap_factors)
         self.permutations = _integers(self.tables, 2**n)
         count = len(angles.inputs.columns)
@@ -371,7 +377,7 @@ def _fold(o: int, op: Any, scale: float, operations: Any, n: int, tables: Tables
 
 @jit
 def bind(steps: Steps, fixed: Any, n: int, spare: Any, measurement: Measurement, tables: Tables, frame: Any) -> float:
-    """Fills `tables`, `measurement.last_layer` and `frame`; returns the amplitude of |0...0> to start from.
+    """Fills `tables`, `measurement` and `frame`; returns the amplitude of |0...0> to start from.
 
     fixed (F,): the fixed angles, radians
     spare (2, 2^n): work space
@@ -419,5 +425,8 @@ def bind(steps: Steps, fixed: Any, n: int, spare: Any, measurement: Measurement,
                     tables.flip_masks[o] = 1
         elif op[TABLE] >= 0:
             _bind_diagonal(op[TABLE], op[FIRST], op[LAST], steps, fixed, x, n, spare, tables)
+    # What is left of the frame at the end flips signs of what is measured.
     frame[len(frame) - 1, 0], frame[len(frame) - 1, 1] = x, z
+    for k in range(len(measurement.masks)):
+        measurement.signs[k] = -1.0 if _odd(measurement.masks[k] & x) else 1.0
     return amplitude
