@@ -3,6 +3,7 @@
 `qnerf pack` writes such a folder. It is read like a store, and every table here can be made from it.
 """
 
+import re
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from qnerf.records.parquet import require_columns
 from qnerf.records.read import checked_table, read_evaluation, read_probe, read_table
 from qnerf.records.schemas import known_kind
 
+from .decide.records import FOLDER as RECORDS
 from .output import make_folder
 
 RUNS, VIEWS = "runs.parquet", "views.parquet"
@@ -25,7 +27,7 @@ _HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "devi
 
 
 def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
-    """Writes runs from `load.runs`, and the held-out views and `PROBES` of the finished ones.
+    """Writes runs from `load.runs`, the held-out views and `PROBES` of the finished ones, and the store's studies.
 
     Returns the number of finished runs, and a line for each damaged file. A run without readable views is packed as
     damaged. Files that the folder has are replaced. A scene's name is packed, its location is not.
@@ -58,6 +60,10 @@ def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
             (folder / f"{probe}.parquet").unlink(missing_ok=True)
     for name, frame in tables.items():
         replace(folder / f"{name}.parquet", frame.to_parquet(index=False), durable=False)
+    for record in Path(chosen["path"].iloc[0]).parent.glob(f"{RECORDS}/*.json"):
+        make_folder(folder / RECORDS, store=False)
+        text = re.sub(r"scene\.path=\S*/", "scene.path=", record.read_text())
+        replace(folder / RECORDS / record.name, text.encode(), durable=False)
     return len(parts), problems
 
 

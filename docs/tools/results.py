@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
 from qnerf.analysis import command, load
+from qnerf.analysis.decide.records import records
 from qnerf.analysis.figures.files import title
 from qnerf.analysis.selection import SCENES, label
 from qnerf.analysis.tables import Table, stability
@@ -30,7 +31,7 @@ One line a question: what its runs say, and the page with the table and the comm
   seeds. Bold is the best of a column. [analysis.md](analysis.md#verdicts) explains the verdicts: one without a scene
   holds on each scene of the page. A row without its number of seeds has all that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
-- **These runs were made with the learning rate that `train=quick` had at first**
+- **The runs of all but the first six questions were made with the learning rate that `train=quick` had at first**
   ([recipe.md](recipe.md#how-the-learning-rate-falls)), and are not judged anew yet. `train.schedule=exponential
   train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them; from before `train=quick` gave MLPs He's
   initial weights, `density.mlp.init=torch`; from before it halved the proposal networks' samples,
@@ -91,11 +92,25 @@ def page(folder: Path, question: Question) -> tuple[str, str]:
     commands = (*question.commands, question.table_command(folder.name))
     parts = [f"# {question.title}", trained(frame)]
     parts += ["\n".join(f"    {line}" for line in commands), without_repetition(shown, frame).markdown()]
+    parts += [study] if (study := studied(folder)) else []
     if question.metric == "psnr" and not question.best_of and (failed := failures(stability(frame, question.rows))):
         parts.append(failed)
     parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
     parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
     return "\n\n".join(parts) + "\n", verdicts(tables[0], question)
+
+
+def studied(folder: Path) -> str:
+    """What `qnerf decide` has said of these runs, an item a comparison; empty where nobody asked it."""
+    looks = records(folder).to_dict("records")
+    lines = []
+    for look in looks:
+        if look["seeds"]:
+            said = f"{look['shown']} {metric_of(look['metric']).unit}, {look['verdict']}, {look['seeds']} seeds"
+            lines.append(
+                f"- {look['scene']}: {look['candidate']} - {look['baseline']}: {said}. {look['searched']}".rstrip()
+            )
+    return "By `qnerf decide`, whose intervals hold over all its looks:\n\n" + "\n".join(lines) if lines else ""
 
 
 def scene_key(rows: Sequence[str]) -> str:

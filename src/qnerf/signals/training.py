@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -17,9 +17,6 @@ from qnerf.training.evaluation import beside
 from qnerf.training.stopping import Plateau
 from qnerf.training.trainer import Loop
 
-if TYPE_CHECKING:
-    from qnerf.signals.base import Signal
-
 CHUNK = 4096  # points evaluated at once
 
 
@@ -33,13 +30,26 @@ class Fitted(Protocol):
         """(N, D): of the first value, by the coordinates."""
 
 
+class Learnt(Protocol):
+    """What training and evaluation ask of a `qnerf.signals.base.Signal`."""
+
+    name: str
+    headline: str
+    points: Tensor
+    targets: Tensor
+
+    def terms(self, predicted: Tensor, targets: Tensor) -> dict[str, Tensor]: ...
+
+    def evaluate(self, fitted: Fitted) -> tuple[dict[str, float | None], list[Tensor]]: ...
+
+
 class SignalTrainer(Loop):
     """Trains on batches of the signal's points: on all of them in every step where there are no more than a batch."""
 
     model: SignalModel
     train: Fit
 
-    def __init__(self, model: SignalModel, signal: "Signal", settings: SignalSettings, watch: Stopwatch) -> None:
+    def __init__(self, model: SignalModel, signal: Learnt, settings: SignalSettings, watch: Stopwatch) -> None:
         self.points_a_step = self.rays_a_step = min(settings.train.points, len(signal.points))
         super().__init__(model, settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))
         self.signal = signal
@@ -70,7 +80,7 @@ class FittedView:
 class SignalEvaluator:
     """Measures and draws a fit, deterministically and without touching any random state. See `Fitted`."""
 
-    def __init__(self, model: SignalModel, signal: "Signal", settings: SignalSettings, watch: Stopwatch) -> None:
+    def __init__(self, model: SignalModel, signal: Learnt, settings: SignalSettings, watch: Stopwatch) -> None:
         self.model = model
         self.scene = signal
         self.device, self.dtype = settings.torch_device, settings.dtype
