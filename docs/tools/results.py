@@ -13,7 +13,7 @@ import yaml  # type: ignore[import-untyped]
 from qnerf.analysis import command, load
 from qnerf.analysis.decide.records import records
 from qnerf.analysis.figures.files import title
-from qnerf.analysis.selection import SCENES, label
+from qnerf.analysis.selection import SCENES, label, validating
 from qnerf.analysis.tables import Table, stability
 from qnerf.analysis.tables.table import markdown_escape
 
@@ -119,7 +119,8 @@ def scene_key(rows: Sequence[str]) -> str:
 
 
 def trained(frame: pd.DataFrame) -> str:
-    """`60 runs; train=quick, 1,500 steps; seeds 0 to 2.`"""
+    """`60 runs; train=quick, 1,500 steps; seeds 0 to 2.`, without the runs of a search."""
+    frame = frame[~validating(frame)]
     steps = frame.groupby("train")["train.steps"].unique()
     budgets = "; ".join(
         f"`train={recipe}`, {', '.join(f'{n:,.0f}' for n in sorted(numbers))} steps"
