@@ -34,7 +34,7 @@ def frame(store):
 
 @pytest.fixture
 def probed(frame):
-    return figures.best_of(frame, "encoding")
+    return figures.best_of(frame, "units")
 
 
 def footnote(figure) -> str:
@@ -110,8 +110,8 @@ def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
 
 def test_figures_say_how_to_make_what_is_missing(frame):
     classical = frame[frame["field"] == "classical"]
-    with pytest.raises(ValueError, match=r"no run of 2 has encoding.parquet; `qnerf probe RUN encoding` writes it"):
-        figures.best_of(classical, "encoding")
+    with pytest.raises(ValueError, match=r"no run of 2 has units.parquet; `qnerf probe RUN units` writes it"):
+        figures.best_of(classical, "units")
     with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf probe .* spectrum` writes it"):
         figures.fourier_spectrum(classical["path"].iloc[0])
 

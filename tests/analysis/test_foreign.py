@@ -78,8 +78,6 @@ def test_a_table_goes_through_tables_figures_report_and_page(table, tmp_path, ca
     tables([str(file), *judged, "--format", "csv"])
     shown = capsys.readouterr().out.splitlines()
     assert len(shown) == 9
-    tables([str(file), "--smallest", "--within", "0.1", "--size", "width"])
-    assert "kan, 8" in capsys.readouterr().out
     draw([str(file), "forest", "--out", str(tmp_path), "--formats", "png", *judged])
     assert (tmp_path / "forest.png").exists()
     report([str(file), "--out", str(tmp_path / "page.html"), *judged, "--within", "0.1"])

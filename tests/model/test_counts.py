@@ -12,7 +12,7 @@ from tests.helpers.configs import ROOT, worked_out
 
 
 def rows(name: str) -> list[dict[str, str]]:
-    with (ROOT / "analysis" / "paper" / f"{name}.csv").open() as file:
+    with (ROOT / "docs" / "tools" / "paper" / f"{name}.csv").open() as file:
         return list(csv.DictReader(file))
 
 

@@ -202,10 +202,10 @@ def test_units_of_circuits_are_their_measured_values(quantum_run):
 def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
     assert set(probe_command.PROBES) == set(PROBES)
     path = shutil.copytree(
-        quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["encoding.parquet", "spectrum.parquet"]
+        quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["units.parquet", "spectrum.parquet"]
     )
-    assert command(monkeypatch, str(path), "encoding", "spectrum") == 0
-    assert capsys.readouterr().out.split() == [str(path / "encoding.parquet"), str(path / "spectrum.parquet")]
+    assert command(monkeypatch, str(path), "units", "spectrum") == 0
+    assert capsys.readouterr().out.split() == [str(path / "units.parquet"), str(path / "spectrum.parquet")]
     assert not (path / "eval_hardware.parquet").exists()
     assert command(monkeypatch, str(path), "shots=10", "views=1") == 0
     assert (path / "eval_hardware.parquet").exists()
@@ -233,11 +233,11 @@ def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, 
     sound = (path / "checkpoint.pt").read_bytes()
     for content in (b"", b"PK no archive", sound[:1000]):
         (path / "checkpoint.pt").write_bytes(content)
-        assert "checkpoint.pt: expected the checkpoint of this run, got " in refused("encoding")
+        assert "checkpoint.pt: expected the checkpoint of this run, got " in refused("units")
     (path / "checkpoint.pt").write_bytes(sound)
     (tiny_scene / "images" / "000.png").write_bytes((tiny_scene / "images" / "001.png").read_bytes())
-    assert "the scene's contents are not those that the run was started with" in refused("encoding")
-    assert not (path / "encoding.parquet").exists()
+    assert "the scene's contents are not those that the run was started with" in refused("units")
+    assert not (path / "units.parquet").exists()
 
 
 def test_load_refuses_runs_that_are_not_finished(tmp_path):

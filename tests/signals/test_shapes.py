@@ -61,7 +61,8 @@ def test_an_exact_fit_has_no_error_and_training_points_are_not_measured():
         signal = Distance(shape=shape, samples=50)
         assert signal.points.shape == (50, dims)
         measured, panels = signal.evaluate(Exact(signal))
-        assert measured == {"distance_error": 0, "iou": 1, "eikonal_error": 0}
+        assert measured.pop("iou") == 1
+        assert set(measured.values()) == {0}
         assert bool((panels[0] == panels[1]).all())
         assert float(panels[2].max()) == 0
         assert float(torch.cdist(signal.points, signal.unseen).min()) > 0
