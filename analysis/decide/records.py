@@ -60,7 +60,7 @@ def searched(tuned: Mapping[str, Mapping[str, Any]], look: Mapping[Any, Any]) ->
     texts = []
     for candidate in (look["baseline"], look["candidate"]):
         if one := tuned.get(f"{look['scene']}: {candidate}", tuned.get(candidate)):
-            chosen, best = ", ".join(one["chosen"]), one["expected"]
+            chosen, best = ", ".join(one["chosen"]) or "its own options", one["expected"]
             cost = f"{one['trials']} trials, {one['seconds'] / 60:.1f} minutes"
             gain = f"expected best {best[0]:.4g} of 1, {best[-1]:.4g} of {len(best)}"
             texts.append(f"{candidate}: {chosen} ({cost}, {gain})")

@@ -91,7 +91,12 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
         overrides = record.words(scene, name)
         unseen = prepare(configuration(overrides)).task.tests_unseen
         overrides += [f"scene.validation={SHARE}"] * unseen
-        tried = searched(record, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)
+        own = trained(overrides, TUNING[:1], store, foresee)[question.metric].iloc[0]  # its own options come first
+        tried: list[dict[str, Any]] = [
+            {"state": "finished" if np.isfinite(own) else "diverged", "values": [own], "overrides": []}
+        ]
+        if question.tune > 1:
+            tried += searched(record, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)
         finished = [trial for trial in tried if trial["state"] == "finished"]
         if not finished:
             raise ValueError(f"{title(scene, name)}: no trial of the search finished")
@@ -114,7 +119,7 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
             "expected": expected([trial["values"][0] for trial in finished], sign),
         }
         record.save(store)
-        told = ", ".join(chosen)
+        told = ", ".join(chosen) or "its own options"
         minutes = record.tuned[title(scene, name)]["seconds"] / 60
         print(f"{title(scene, name)}: {len(tried)} trials, {minutes:.1f} minutes of training, chose {told}", flush=True)
 
@@ -122,14 +127,14 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
 def searched(
     record: Record, overrides: Sequence[str], space: dict[str, str], store: Path, foresee: Callable[[float], object]
 ) -> list[dict[str, Any]]:
-    """The trials of one search, by the search of `qnerf run`; the store is its memory."""
+    """All trials but the first, by the search of `qnerf run`; the store is its memory."""
     from qnerf.cli.search import TRIALS  # needs Optuna, which only a search may ask for
 
     question = record.question
     folder = store / ".sweeps" / f"tune-{uuid.uuid4().hex[:12]}"
     started(
         [
-            "hydra/sweeper=qnerf_optuna", f"hydra.sweeper.n_trials={question.tune}", "hydra.sweeper.sampler=random",
+            "hydra/sweeper=qnerf_optuna", f"hydra.sweeper.n_trials={question.tune - 1}", "hydra.sweeper.sampler=random",
             "hydra.sweeper.prune.percentile=0", f"hydra.sweeper.objectives=[{question.metric}]",
             f"hydra.sweep.dir={folder}", *overrides, f"store={store}",
             *(f"{option}={values}" for option, values in space.items()),

@@ -90,7 +90,11 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "verdicts": verdicts(frame, **judged),
         "forest": draw("forest", frame, **judged)[0],
-        "sections": [SECTIONS[0], *named[:1], *SECTIONS[1:], *named[1:]],
+        "sections": [
+            section
+            for section in (SECTIONS[0], *named[:1], *SECTIONS[1:], *named[1:])
+            if section[0] != "curves-section" or logged or drawn.files
+        ],
         "note": drawn.note,
         "absent": {
             "pictures": content.no_pictures(drawn),
