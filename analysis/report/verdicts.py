@@ -19,8 +19,7 @@ MOST = 6  # configurations on a card
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Scene -> lines of configuration, verdict, difference, and seeds with how they were searched; or why there are
-    none."""
+    """Scene -> lines of configuration, verdict, difference, seeds, and what was searched; or why there are none."""
 
     cards: Mapping[str, list[tuple[str, ...]]] = field(default_factory=dict)
     note: str = ""
@@ -38,8 +37,8 @@ def verdicts(
     for look in records(Path(str(frame["path"].iloc[0])).parent).to_dict("records"):
         if look["seeds"]:
             name, unit = f"{look['candidate']} - {look['baseline']}", metric_of(look["metric"]).unit
-            how = f"{look['seeds']} / {look['seeds']} seeds" + (f"; {look['searched']}" if look["searched"] else "")
-            decided[look["scene"] or unnamed].append((name, look["verdict"], f"{look['shown']} {unit}".rstrip(), how))
+            seeds, difference = f"{look['seeds']} / {look['seeds']} seeds", f"{look['shown']} {unit}".rstrip()
+            decided[look["scene"] or unnamed].append((name, look["verdict"], difference, seeds, look["searched"]))
     errors: dict[str, str] = {}
     with collecting(errors, "verdicts"):
         metric = metric or main_metric(frame)
@@ -52,7 +51,7 @@ def verdicts(
         for name, scene, difference, verdict, seeds in table.text.loc[best].itertuples(index=False):
             if seeds:  # else a mean over scenes, which the forest plot shows
                 cards[scene].append(
-                    (name, verdict, f"{difference} {metric_of(metric).unit or metric}", f"{seeds} seeds")
+                    (name, verdict, f"{difference} {metric_of(metric).unit or metric}", f"{seeds} seeds", "")
                 )
         more = max(map(len, cards.values()), default=0) - MOST
         note = f"Of {more + MOST} configurations, the best {MOST} are here. " if more > 0 else ""

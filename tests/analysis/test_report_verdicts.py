@@ -14,7 +14,7 @@ SEEDS = ROOT / "docs" / "results" / "seeds"
 def test_a_card_has_the_verdict_of_the_table_on_each_configuration():
     found = verdicts(load.runs(SEEDS, "color.directions=raw density.mlp.init=he,none"))
     assert list(found.cards) == ["fox_64", "poster"]
-    told = {name: (verdict, seeds) for name, verdict, _, seeds in found.cards["fox_64"]}
+    told = {name: (verdict, seeds) for name, verdict, _, seeds, _ in found.cards["fox_64"]}
     assert told["qcolor, 2x64, 1L2S"] == ("undecided: a gain of 0.5 dB is ruled out", "10 / 10 seeds")
     assert told["qboth, 1L2S, 1L2S"][0].startswith("worse")
     assert not found.absent
@@ -27,7 +27,7 @@ def test_a_card_opens_with_what_a_study_decided_and_how_it_was_searched(monkeypa
     assert how == "b: omega=2 (4 trials, 1.5 minutes, expected best 20 of 1, 21.5 of 2)"
     rows = pd.DataFrame([look | {"verdict": "better, after 4 trials each", "searched": how}])
     monkeypatch.setattr("qnerf.analysis.report.verdicts.records", lambda store: rows)
-    line = ("b - a", "better, after 4 trials each", "+0.61 ± 0.20 dB", f"6 / 6 seeds; {how}")
+    line = ("b - a", "better, after 4 trials each", "+0.61 ± 0.20 dB", "6 / 6 seeds", how)
     found = verdicts(load.runs(SEEDS, "color.directions=raw density.mlp.init=he,none"))
     assert (found.cards["poster"][0], len(found.cards["poster"]) > 1) == (line, True)
     alone = verdicts(load.runs(SEEDS, "field=qcolor,qboth"))
