@@ -1,4 +1,4 @@
-"""The blocks of a program: what each of them does, and which rotations and CNOTs can pass it."""
+"""The blocks of a program: what each of them does and costs, and which rotations and CNOTs can pass it."""
 
 import operator
 from collections.abc import Iterable
@@ -6,6 +6,10 @@ from dataclasses import dataclass, field
 
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.words import Word, through_cnot
+
+TURN_COST, LAYER_COST, TILT_COST, CNOT_COST = 19, 8, 2, 8
+"""Multiply-adds for each amplitude, forward and backward, or what takes as long: of a turn, of a wire in a layer of RY
+or of tilts, of a permutation."""
 
 
 @dataclass
@@ -176,3 +180,17 @@ def merged(blocks: Iterable[Block]) -> list[Block]:
         else:
             out.append(block)
     return out
+
+
+def cost_of(block: Block, n: int) -> int:
+    """Multiply-adds of the block for each amplitude of n wires, forward and backward."""
+    if isinstance(block, RYLayer):
+        return LAYER_COST * n
+    if isinstance(block, Tilts):
+        return TILT_COST * n
+    if isinstance(block, CNOTs):
+        return CNOT_COST
+    if isinstance(block, Turn):
+        return TURN_COST
+    several = sum(mask.bit_count() > 1 and not angle.constant for mask, angle in block.angles.items())
+    return (25 if moves(block) else 13) + (n + 6 * several if several else 0)

@@ -34,12 +34,16 @@ from torch import Tensor
 
 from qnerf.quantum.basis import bit
 from qnerf.quantum.blocks import (
+    CNOT_COST,
+    LAYER_COST,
+    TURN_COST,
     Block,
     CNOTs,
     Diagonal,
     RYLayer,
     Tilts,
     Turn,
+    cost_of,
     merged,
     moves,
     rotations_of,
@@ -52,11 +56,6 @@ from qnerf.quantum.expressions import Expression, weight
 from qnerf.quantum.gates import Amplitudes
 from qnerf.quantum.one_wire import Factors, Product, append, half_turns, with_moving_phases
 from qnerf.quantum.words import Word, bits, through_cnot
-
-TURN_COST, LAYER_COST, TILT_COST, CNOT_COST = 19, 8, 2, 8
-"""Multiply-adds for each amplitude, forward and backward, or what takes as long: of a turn, of a wire in a layer of RY
-or of tilts, of a permutation."""
-
 
 PRODUCT_WIRES = 7  # below, a layer of the state is quicker than working out the angles of a product
 PRODUCTS = "one-wire products"  # no identifier, as names of weights are
@@ -183,23 +182,12 @@ class Program:
         """Multiply-adds for each sample, forward and backward; the backward pass runs the forward pass again."""
         n = self.wires
         run = [group for group in self.groups if self.fixed_blocks <= group[0]]
-        total = sum(_cost(self.blocks[group[0]], n) if len(group) == 1 else CNOT_COST + 5 * len(group) for group in run)
+        total = sum(
+            cost_of(self.blocks[group[0]], n) if len(group) == 1 else CNOT_COST + 5 * len(group) for group in run
+        )
         others = sum(word.x != 0 for word in self.words) + 2 * len(self.outcomes)
         total += 3 * n + 9 if self.measures_last_layer else 2 * n + 7 * others + 2
         return 2**n * (total + 8 * self.start_moves + 4)
-
-
-def _cost(block: Block, n: int) -> int:
-    if isinstance(block, RYLayer):
-        return LAYER_COST * n
-    if isinstance(block, Tilts):
-        return TILT_COST * n
-    if isinstance(block, CNOTs):
-        return CNOT_COST
-    if isinstance(block, Turn):
-        return TURN_COST
-    several = sum(mask.bit_count() > 1 and not angle.constant for mask, angle in block.angles.items())
-    return (25 if moves(block) else 13) + (n + 6 * several if several else 0)
 
 
 @lru_cache(maxsize=256)
