@@ -238,7 +238,6 @@ class _Training:
         for metrics in trainer.steps(record, self.stopping):
             self.display.phase("train")
             if untaught := ", ".join(trainer.untaught):
-                trainer.untaught = []
                 self.display.note(f"warning: no gradient reaches the parameters of {untaught}: they stay as they are")
             if metrics:
                 record.log(trainer.step, trainer.seconds, metrics)

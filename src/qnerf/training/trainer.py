@@ -30,6 +30,8 @@ from qnerf.types import Rendering
 
 ADVICE = "the last checkpoint stays; a smaller train.lr or numerics.dtype=float64 is another run, from the start"
 
+LOOKS = 20  # steps in which a part of the model may wait for its first gradient: an empty density gives none at first
+
 SHARE_OF_POINTS = 8  # one ray in so many goes through a sparse point, if the loss takes those
 
 
@@ -73,7 +75,7 @@ class Loop:
         self.train = settings.train
         self.watch = watch
         self.step_seconds: list[float] = []
-        self.untaught: list[str] = []  # parts of the model whose parameters got no gradient in the first step
+        self.idle = [name for name, parameters in model.parts.items() if parameters]  # no gradient but 0 so far
         self.seconds = 0.0  # of training so far, over all resumptions
         self.saved = 0  # the step of the last checkpoint; a run without one has lost nothing before its first step
         self.plateau = plateau
@@ -127,8 +129,8 @@ class Loop:
             with self.watch.stage("backward"):
                 forget_gradients(self.optimiser)
                 loss.backward()
-            if not self.step_seconds:
-                self.untaught = [name for name, parts in self.model.parts.items() if parts and not _learns(parts)]
+            if self.idle and len(self.step_seconds) < LOOKS:
+                self.idle = [name for name in self.idle if not _learns(self.model.parts[name])]
         with self.watch.stage("optimiser"):
             apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
@@ -207,6 +209,11 @@ class Loop:
         self.plateau.load(state["plateau"])
         self.step_seconds = state["step_seconds"].tolist()
         self.seconds = sum(self.step_seconds)
+
+    @property
+    def untaught(self) -> list[str]:
+        """Right after the first `LOOKS` steps: the parts whose parameters got no gradient in any of them."""
+        return self.idle if len(self.step_seconds) == LOOKS else []
 
     def validate(self) -> float:
         """PSNR in dB of data that is held out for validation; called if the plateau asks for it."""
