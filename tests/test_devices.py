@@ -16,7 +16,12 @@ from tests.helpers.trainer import trainer
 def test_the_layer_and_a_training_step_stay_on_their_device() -> None:
     if not hasattr(backend_registration, "_setup_privateuseone_for_python_backend"):
         pytest.skip("this PyTorch cannot register a device from Python")
-    fields = ["field=classical", "field=qboth", "field=qcolor qiren.statistics=first"]
+    fields = [
+        "field=classical",
+        "field=classical train.error_rays=0.5",
+        "field=qboth",
+        "field=qcolor qiren.statistics=first",
+    ]
     command = [sys.executable, "-m", "tests.helpers.fake_accelerator", *fields]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     lines = done.stdout.split("\n")
@@ -59,7 +64,7 @@ def loss_and_gradients(device: str, *options: str) -> list[Tensor]:
     config = composed("scene=poster", *TINY, *options, "hash=C7", "numerics.dtype=float64", f"device={device}")
     taken = trainer(config)
     model = taken.model
-    rays, pixels = taken.table.batch(64, torch.Generator().manual_seed(0), model.cameras)
+    rays, pixels = taken.table.batch(taken.table.draw(64, torch.Generator().manual_seed(0)), model.cameras)
     rendering, sampled, _ = model(rays, background="last_sample", step=0, watch=taken.watch)
     loss = torch.stack(list(taken.loss_terms(rendering, sampled, pixels[..., :3]).values())).sum()
     loss.backward()

@@ -185,7 +185,7 @@ def test_a_resumed_run_repeats_the_uninterrupted_one_bit_for_bit(tiny, tmp_path)
     options = ["field=qboth", "qiren.qubits=2", "cameras=so3xr3", "appearance=2", "train.steps=12"]
     options += ["train.eval_every=2"]
     options += ["stop.every=2", "stop.share=0.1", "stop.rays=9", "stop.patience=2", "stop.min_gain_db=50"]
-    options += ["train.cooldown=1"]
+    options += ["train.cooldown=1", "train.error_rays=0.5"]
     whole = run(tiny(*options, f"store={tmp_path / 'whole'}"))
     parts = tiny(*options, f"store={tmp_path / 'parts'}", "train.checkpoint_every=0")
     interrupted(parts, 6)

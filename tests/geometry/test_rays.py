@@ -106,7 +106,7 @@ def test_a_batch_holds_the_colours_of_the_pixels_its_rays_go_through(channels):
     cams = cameras(per_view=True)
     world = scene(cams, channels, train=[0, 2, 4], eval=[1, 3])
     table = RayTable(world, dtype=torch.float64)
-    rays, colors = table.batch(500, torch.Generator().manual_seed(3))
+    rays, colors = table.batch(table.draw(500, torch.Generator().manual_seed(3)))
     pixels, _ = project(cams, rays.cameras, rays.along(torch.ones(500, 1, dtype=torch.float64))[:, 0])
     x, y = pixels.floor().long().unbind(-1)
     assert colors.shape == (500, channels)
@@ -130,16 +130,13 @@ def test_pixels_kept_apart_are_never_drawn_and_all_others_are(stride, width, hei
             RayTable(world, validation_stride=stride)
         return
     table = RayTable(world, validation_stride=stride)
-    drawn: list[torch.Tensor] = []
-    table._training_rays = lambda numbers, _: drawn.append(numbers)
+    table.batch = lambda numbers, _: numbers
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(torch, "randint", lambda high, size, generator: torch.arange(high))
-        table.batch(total - (total // stride if stride else 0), torch.Generator())
-    table.validation(total)
-    training, validation = drawn
+        training = table.draw(total, torch.Generator())
+    validation = table.validation(total)
     assert len(validation) == total // stride
-    assert torch.equal(torch.cat(drawn).sort().values, torch.arange(total))
-    assert len(training) + len(validation) == total
+    assert torch.equal(torch.cat([training, validation]).sort().values, torch.arange(total))
 
 
 def test_validation_is_at_most_so_many_pixels_evenly_spread_and_the_same_each_time():
@@ -163,7 +160,7 @@ def test_the_table_and_the_lens_agree(monkeypatch, per_view):
     assert computed.directions is None
     for a, b in (
         (kept.view(2), computed.view(2)),
-        *zip(*[[table.batch(50, torch.Generator().manual_seed(1))[0]] for table in (kept, computed)], strict=True),
+        tuple(table.batch(table.draw(50, torch.Generator().manual_seed(1)))[0] for table in (kept, computed)),
     ):
         torch.testing.assert_close(a.directions, b.directions, rtol=0, atol=1e-14)
         assert torch.equal(a.cameras, b.cameras)
@@ -174,8 +171,8 @@ def test_poses_are_refined_and_differentiated_through_the_rays(name):
     world = scene(cameras())
     table = RayTable(world, dtype=torch.float64)
     refinement = CAMERAS.build(name, 5, world.train).double()
-    plain, _ = table.batch(40, torch.Generator().manual_seed(0))
-    rays, _ = table.batch(40, torch.Generator().manual_seed(0), refinement)
+    plain, _ = table.batch(table.draw(40, torch.Generator().manual_seed(0)))
+    rays, _ = table.batch(table.draw(40, torch.Generator().manual_seed(0)), refinement)
     torch.testing.assert_close(rays.directions, plain.directions)
     torch.testing.assert_close(rays.origins, plain.origins)
     (rays.directions.square() @ torch.tensor([1.0, 2, 3]).double() + rays.origins.sum(-1)).sum().backward()
@@ -183,7 +180,7 @@ def test_poses_are_refined_and_differentiated_through_the_rays(name):
 
     with torch.no_grad():
         refinement.motion.normal_(0, 0.1, generator=torch.Generator().manual_seed(0))
-    moved, _ = table.batch(40, torch.Generator().manual_seed(0), refinement)
+    moved, _ = table.batch(table.draw(40, torch.Generator().manual_seed(0)), refinement)
     assert not torch.allclose(moved.directions, plain.directions, atol=1e-3)
     torch.testing.assert_close(torch.linalg.vector_norm(moved.directions, dim=1), torch.ones(40, dtype=torch.float64))
     held_out = table.view(4, refinement)

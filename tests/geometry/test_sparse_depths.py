@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from qnerf.geometry.rays import RayTable, TrainingPixels
+from qnerf.geometry.rays import RayTable
 from qnerf.geometry.sparse_depths import SparseDepths
 from qnerf.scenes import Scene
 from tests.helpers import worlds
@@ -27,9 +27,9 @@ def ball(request: pytest.FixtureRequest) -> Scene:
 
 def test_rays_of_the_drawn_pixels_pass_their_points_at_the_drawn_distance(ball: Scene) -> None:
     table = RayTable(ball, dtype=torch.float64, validation_stride=5)
-    numbers, distances = SparseDepths(ball, table.training, 5).draw(200, torch.Generator().manual_seed(0))
+    numbers, distances = SparseDepths(ball, 5).draw(200, torch.Generator().manual_seed(0))
     assert ((numbers + 1) % 5 != 0).all()
-    rays, _ = table.batch(200, torch.Generator(), first=numbers)
+    rays, _ = table.batch(numbers)
     assert LAST not in rays.cameras
     ends = rays.origins + distances[:, None] * rays.directions
     own = [ball.points[ball.points[:, 0] == view, 1:] for view in rays.cameras.tolist()]
@@ -41,4 +41,4 @@ def test_rays_of_the_drawn_pixels_pass_their_points_at_the_drawn_distance(ball: 
 def test_points_that_no_training_view_sees_are_refused(ball: Scene) -> None:
     unseen = dataclasses.replace(ball, points=ball.points[ball.points[:, 0] == LAST])
     with pytest.raises(ValueError, match="none of the scene's 4 sparse points is on a training pixel"):
-        SparseDepths(unseen, TrainingPixels(unseen))
+        SparseDepths(unseen)

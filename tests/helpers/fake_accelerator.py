@@ -103,9 +103,10 @@ def step(options: str) -> None:
     with FakeTensorMode(allow_non_fake_inputs=True), OnDevice():
         moved(model)
         table.device = torch.device(DEVICE)
-        for name, value in vars(table).items():
-            if torch.is_tensor(value):
-                setattr(table, name, value.detach().to(DEVICE))
+        for owner in (table, table.training, *filter(None, [trainer.errors])):
+            for name, value in vars(owner).items():
+                if torch.is_tensor(value):
+                    setattr(owner, name, value.detach().to(DEVICE))
         assert isinstance(model.field.mask, SpaceMask)
         streams = {"pixels": torch.Generator().manual_seed(0), "samples": torch.Generator().manual_seed(1)}
         with suppress(DataDependentOutputException):

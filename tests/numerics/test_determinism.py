@@ -138,7 +138,7 @@ def test_batches_and_samples_on_1_and_2_threads(tiny: Tiny) -> None:
 
     def compute() -> list[Tensor]:
         drawn = torch.Generator().manual_seed(3)
-        rays, colors = taken.table.batch(512, drawn, taken.model.cameras)
+        rays, colors = taken.table.batch(taken.table.draw(512, drawn), taken.model.cameras)
         sampled = taken.model.sampler(rays, taken.model.field.density, generator=drawn, step=20)
         return [rays.directions, colors, sampled.samples.edges]
 

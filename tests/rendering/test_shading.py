@@ -40,7 +40,7 @@ def test_rays_that_pass_only_empty_space_are_white_under_every_shading(config, s
     _, _, model, table, watch = built(config(f"field={field}", "qiren.qubits=2", f"shading={shading}", *options, *TINY))
     model.eval()
     model.field.mask.grid = torch.zeros_like(model.field.mask.grid)
-    rays, _ = table.batch(16, torch.Generator().manual_seed(0))
+    rays, _ = table.batch(table.draw(16, torch.Generator().manual_seed(0)))
     rendering, _, _ = model(rays, background="white", step=0, watch=watch)
     assert torch.equal(rendering.color, torch.ones(16, 3))
     assert torch.equal(rendering.accumulation, torch.zeros(16))

@@ -68,7 +68,7 @@ def test_each_view_keeps_its_size_its_rays_and_its_colours(mixed: Path) -> None:
         truth = np.asarray(Image.open(mixed / scene.names[view]))
         np.testing.assert_array_equal(scene.image(view), truth)
         assert table.view(view).directions.shape == (width * height, 3)
-    rays, colors = table.batch(500, torch.Generator().manual_seed(0))
+    rays, colors = table.batch(table.draw(500, torch.Generator().manual_seed(0)))
     assert set(rays.cameras.tolist()) == set(scene.train)
     for view in scene.train:
         of_view = rays.cameras == view

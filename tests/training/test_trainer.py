@@ -38,7 +38,7 @@ def test_configurations_of_one_seed_see_the_same_batches(tiny):
     for overrides in (["field=classical"], ["field=qboth", "sampler=uniform", "sampler.samples=5"]):
         taken = trainer(tiny(*overrides))
         taken.take_step(measure=False)
-        rays, _ = taken.table.batch(8, taken.streams["pixels"])
+        rays, _ = taken.table.batch(taken.table.draw(8, taken.streams["pixels"]))
         drawn.append((rays.cameras, rays.directions))
     assert torch.equal(drawn[0][0], drawn[1][0])
     assert torch.equal(drawn[0][1], drawn[1][1])

@@ -71,6 +71,7 @@ class Train(Schedule):
 
     rates: FieldRates
     rays: Annotated[int, Interval(ge=1, le=2**24)]  # per step
+    error_rays: Annotated[float, Interval(ge=0, lt=1)] = 0.0  # share of the rays drawn where the error is
     interlevel: NonNegativeFactor = 0.0  # weight of the interlevel loss
     distortion: NonNegativeFactor = 0.0  # weight of the distortion loss
     losses: dict[str, NonNegativeFactor] | None = None  # weights of further registered terms

@@ -91,17 +91,18 @@ def camera_rays(
 class TrainingPixels:
     """The pixels of the training views, numbered view by view and row by row. Masked ones are left out."""
 
-    def __init__(self, scene: Scene) -> None:
-        self.views = torch.tensor(scene.train, dtype=torch.int64)
+    def __init__(self, scene: Scene, device: torch.device | str = "cpu") -> None:
+        self.views = torch.tensor(scene.train, dtype=torch.int64, device=device)
         masks = [scene.valid(view) for view in scene.train]
         counts = [
             size.prod() if mask is None else mask.sum()
             for size, mask in zip(scene.cameras.all_sizes[scene.train], masks, strict=True)
         ]
-        self.ends = torch.stack(counts).cumsum(0)  # where the numbers of each view end
-        self.count = int(self.ends[-1])
+        ends = torch.stack(counts).cumsum(0)
+        self.count = int(ends[-1])
+        self.ends = ends.to(device)  # where the numbers of each view end
         unmasked = [mask.flatten().nonzero()[:, 0].to(torch.int32) for mask in masks if mask is not None]
-        self.unmasked = torch.cat(unmasked) if unmasked else None  # the pixels that the numbers stand for
+        self.unmasked = torch.cat(unmasked).to(device) if unmasked else None  # the pixels that the numbers stand for
 
     def __len__(self) -> int:
         return self.count
@@ -140,7 +141,7 @@ def spread_rays(scene: Scene, count: int) -> Rays:
     return camera_rays(scene.cameras, views, centres, 0.0, 1.0, torch.float64)
 
 
-def _sent(values: Tensor, device: torch.device) -> Tensor:
+def sent(values: Tensor, device: torch.device) -> Tensor:
     """The values (R,) on the device. A copy from pinned memory to a GPU waits for nothing."""
     return values.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else values.to(device)
 
@@ -172,7 +173,7 @@ class RayTable:
         self.scene, cameras = scene, scene.cameras
         self.near, self.far = bounds_of(scene, near, far)
         self.validation_stride = validation_stride
-        self.training = TrainingPixels(scene)
+        self.training = TrainingPixels(scene, device)
         scene.require_pixels()
         if validation_stride > len(self.training):
             raise ValueError(
@@ -217,26 +218,28 @@ class RayTable:
             poses = returned(refinement, refinement.poses(views, poses), poses.shape, poses)
         return rays_from(directions, poses, views, self.near, self.far)
 
-    def batch(
-        self,
-        rays: int,
-        generator: torch.Generator,
-        refinement: PoseRefinement | None = None,
-        first: Tensor | None = None,
-    ) -> tuple[Rays, Tensor]:
-        """Draws `rays` training pixels uniformly, with replacement: their rays and colours (R, 3 or 4) in [0, 1].
+    def draw(self, count: int, generator: torch.Generator) -> Tensor:
+        """Numbers (count,) of training pixels, drawn uniformly with replacement, int64 on the device.
 
-        `generator` is on the CPU, so that all devices see the same batches. `first`: numbers of training pixels that
-        take the places of the first ones.
+        `generator` is on the CPU, so that all devices see the same pixels.
         """
         stride, total = self.validation_stride, len(self.training)
         held_out = total // stride if stride else 0
-        numbers = torch.randint(total - held_out, (rays,), generator=generator)
+        numbers = torch.randint(total - held_out, (count,), generator=generator)
         if stride:  # skip every `stride`-th pixel
             numbers += numbers // (stride - 1)
-        if first is not None:
-            numbers[: len(first)] = first
-        return self._training_rays(numbers, refinement)
+        return sent(numbers, self.device)
+
+    def batch(self, numbers: Tensor, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:
+        """Rays and colours (R, 3 or 4) in [0, 1] of training pixels: numbers (R,) on the device, view by view."""
+        fixed = refinement is None or type(refinement) is FixedPoses
+        but = None if fixed else "refined poses"
+        but = "more directions than are kept" if self.directions is None else but
+        if serves("training rays", self.poses, but=but):
+            return self._gathered(numbers)
+        views, pixels = self.training.locate(numbers)
+        colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
+        return self.rays(views, pixels, refinement), colors
 
     def validation(self, rays: int, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:
         """Rays and colours of at most `rays` of the held-out training pixels, evenly spread."""
@@ -244,18 +247,7 @@ class RayTable:
         assert stride, "no pixels are held out"
         held_out = len(self.training) // stride  # their number
         index = torch.linspace(0, held_out - 1, min(rays, held_out), dtype=torch.float64).long()
-        return self._training_rays(stride - 1 + index * stride, refinement)
-
-    def _training_rays(self, numbers: Tensor, refinement: PoseRefinement | None) -> tuple[Rays, Tensor]:
-        """Rays and colours of training pixels (R,), numbered view by view and row by row."""
-        fixed = refinement is None or type(refinement) is FixedPoses
-        but = None if fixed else "refined poses"
-        but = "more directions than are kept" if self.directions is None else but
-        if serves("training rays", self.poses, but=but):
-            return self._gathered(numbers)
-        views, pixels = (_sent(index, self.device) for index in self.training.locate(numbers))
-        colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
-        return self.rays(views, pixels, refinement), colors
+        return self.batch(sent(stride - 1 + index * stride, self.device), refinement)
 
     def _gathered(self, numbers: Tensor) -> tuple[Rays, Tensor]:
         """The same on the CPU and without refinement, in a compiled loop."""

@@ -12,14 +12,13 @@ class SparseDepths:
 
     Args:
         scene: with `points`, of which those count that lie in front of a training view and on a pixel of it.
-        training: numbers the pixels.
         validation_stride: as in `RayTable`; the pixels that it holds out are left out.
 
     Raises:
         ValueError: the scene has no sparse points, or none is seen by a training view.
     """
 
-    def __init__(self, scene: Scene, training: TrainingPixels, validation_stride: int = 0) -> None:
+    def __init__(self, scene: Scene, validation_stride: int = 0) -> None:
         if scene.points is None:
             advice = "scene=colmap reads them with scene.points=true"
             raise ValueError(f"train.losses.sparse_depth: the scene {scene.name} has no sparse points; {advice}")
@@ -28,7 +27,7 @@ class SparseDepths:
         sizes = scene.cameras.all_sizes[views]
         inside = (depth > 0) & ((pixels >= 0) & (pixels < sizes)).all(1)
         views, points, column_row = views[inside], points[inside], pixels[inside].long()
-        numbers = training.number(views, column_row[:, 1] * sizes[inside, 0] + column_row[:, 0])
+        numbers = TrainingPixels(scene).number(views, column_row[:, 1] * sizes[inside, 0] + column_row[:, 0])
         trains = numbers >= 0
         if validation_stride:
             trains &= (numbers + 1) % validation_stride != 0

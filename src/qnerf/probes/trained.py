@@ -93,7 +93,8 @@ class Trained:
         They are the same random rays each time.
         """
         seen: dict[Key, list[Seen]] = {key: [] for key in modules}
-        batch, _ = self.ray_table().batch(rays, torch.Generator().manual_seed(0), model.cameras)
+        table = self.ray_table()
+        batch, _ = table.batch(table.draw(rays, torch.Generator().manual_seed(0)), model.cameras)
         background = evaluation_background(self.settings.render.background)
         with ExitStack() as hooks:
             for key, module in modules.items():

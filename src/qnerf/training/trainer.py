@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from qnerf.config.settings import Schedule, Settings, SignalSettings, Train
 from qnerf.config.tensors import require_tensor
-from qnerf.geometry.rays import RayTable
+from qnerf.geometry.rays import RayTable, sent
 from qnerf.geometry.sparse_depths import SparseDepths
 from qnerf.kernels.dispatch import is_plain
 from qnerf.kernels.jit import one_torch_thread
@@ -20,6 +20,7 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
+from qnerf.training.error_map import ErrorMap
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients
 from qnerf.training.schedules import falls_from, learning_rate
 from qnerf.training.state_checks import check_shapes, first_non_finite
@@ -286,20 +287,38 @@ class Trainer(Loop):
         self.validation_rays = stop.rays
         self.weights = weights_of(settings.train)
         takes_points = "sparse_depth" in self.weights
-        self.depths = SparseDepths(table.scene, table.training, table.validation_stride) if takes_points else None
+        self.depths = SparseDepths(table.scene, table.validation_stride) if takes_points else None
+        seen = (len(table.training), table.validation_stride, table.device, table.dtype)
+        self.errors = ErrorMap(*seen) if self.train.error_rays else None
+
+    def state(self) -> dict[str, Any]:
+        return super().state() | ({"errors": self.errors.errors} if self.errors else {})
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        super().load(state)
+        if self.errors:
+            self.errors.errors.copy_(state["errors"])
 
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
         with self.watch.stage("sampling"):
-            numbers, distances = None, None
+            numbers, distances, known = self.table.draw(self.train.rays, streams["pixels"]), None, 0
             if self.depths:
-                numbers, distances = self.depths.draw(self.train.rays // SHARE_OF_POINTS, streams["pixels"])
+                known = self.train.rays // SHARE_OF_POINTS
+                drawn, distances = self.depths.draw(known, streams["pixels"])
+                numbers[:known] = sent(drawn, numbers.device)
                 distances = distances.to(self.table.poses)
-            rays, pixels = self.table.batch(self.train.rays, streams["pixels"], self.model.cameras, numbers)
+            if self.errors:
+                last = len(numbers) - round(self.train.error_rays * (len(numbers) - known))
+                numbers[last:] = self.errors.draw(len(numbers) - last, streams["samples"])
+            rays, pixels = self.table.batch(numbers, self.model.cameras)
         rendering, sampled, behind = self.model(
             rays, background=self.background, step=step, watch=self.watch, generator=streams["samples"]
         )
         with self.watch.stage("render"):
-            return self.loss_terms(rendering, sampled, composite(pixels, behind), distances)
+            target = composite(pixels, behind)
+            if self.errors:
+                self.errors.add(numbers, rendering.color, target)
+            return self.loss_terms(rendering, sampled, target, distances)
 
     def loss_terms(
         self, rendering: Rendering, sampled: SampledRays, target: Tensor, distances: Tensor | None = None
