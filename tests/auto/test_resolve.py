@@ -41,6 +41,7 @@ def test_auto_leaves_what_is_set_by_hand():
     config = worked_out(
         "needs=auto", "appearance=4", "hash=C3", "cameras=se3", "shading=none", "contraction.name=l2",
         "render.near=0.3", "render.background=black", "visibility.cameras=2", "visibility.alpha=false",
+        "train.error_rays=0.5",
     ).complete  # fmt: skip
     resolved, decisions = resolve(config, BALL)
     assert set(decisions) == {"render.far"}

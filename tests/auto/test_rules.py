@@ -37,6 +37,8 @@ def test_rules_find_what_a_scene_needs():
         ("render.background", FLOOR, "last_sample"),
         ("visibility.alpha", BALL, True),
         ("visibility.alpha", FLOOR, False),
+        ("train.error_rays", BALL, 0.75),
+        ("train.error_rays", FLOOR, 0.0),
         ("visibility.cameras", BALL, 4),
         ("visibility.cameras", OUTWARD, 0),
         ("appearance", FLOOR, 0),

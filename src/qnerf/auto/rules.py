@@ -173,6 +173,15 @@ def steps(data: Measured, config: Config) -> Decision:
     return Decision(min(MOST_STEPS, 100 * round(needed / 100)), {"pixels": pixels})
 
 
+SHARE_BESIDE_BACKGROUND = 0.75  # of the rays, where an object stands before a background that is soon learnt
+
+
+@rule("train.error_rays")
+def error_rays(data: Measured, config: Config) -> Decision:
+    alpha = data.scene.has_alpha
+    return Decision(SHARE_BESIDE_BACKGROUND if alpha else 0.0, {"alpha": float(alpha)})
+
+
 NUMBERS_PER_VALUE = 1.0  # in all tables, for each colour value that training sees
 
 
