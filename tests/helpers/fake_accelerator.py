@@ -103,7 +103,7 @@ def step(options: str) -> None:
     with FakeTensorMode(allow_non_fake_inputs=True), OnDevice():
         moved(model)
         table.device = torch.device(DEVICE)
-        for owner in (table, table.training, *filter(None, [trainer.errors])):
+        for owner in (table, table.training, *filter(None, [trainer.error_map])):
             for name, value in vars(owner).items():
                 if torch.is_tensor(value):
                     setattr(owner, name, value.detach().to(DEVICE))

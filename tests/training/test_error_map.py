@@ -34,12 +34,12 @@ def test_large_photographs_have_larger_cells() -> None:
 
 def test_a_pixel_that_stays_wrong_takes_its_share_of_the_batch(tiny) -> None:
     taken = trainer(tiny("field=classical", "train.rays=400", "train.error_rays=0.5"))
-    assert taken.errors is not None
-    taken.errors.errors.fill_(1e-9)[1] = 1.0
+    assert taken.error_map is not None
+    taken.error_map.cells.fill_(1e-9)[1] = 1.0
     rendered = []
-    taken.errors.add = lambda numbers, colors, target: rendered.append((numbers, colors, target))
+    taken.error_map.add = lambda numbers, colors, target: rendered.append((numbers, colors, target))
     taken.take_step(measure=False)
     (numbers, colors, target), *_ = rendered
-    assert (numbers[200:] // taken.errors.size == 1).all()
-    assert len((numbers[:200] // taken.errors.size).unique()) > 1
+    assert (numbers[200:] // taken.error_map.size == 1).all()
+    assert len((numbers[:200] // taken.error_map.size).unique()) > 1
     assert len(numbers) == len(colors) == len(target)

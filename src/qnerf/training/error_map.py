@@ -23,15 +23,15 @@ class ErrorMap:
     def __init__(self, pixels: int, stride: int, device: torch.device, dtype: torch.dtype) -> None:
         self.pixels, self.stride = pixels, stride
         self.size = max(FEWEST, -(-pixels // CELLS))
-        self.errors = torch.full((-(-pixels // self.size),), FIRST, device=device, dtype=dtype)
+        self.cells = torch.full((-(-pixels // self.size),), FIRST, device=device, dtype=dtype)
 
     def draw(self, count: int, generator: torch.Generator) -> Tensor:
         """Numbers (count,) of training pixels, int64: a cell in proportion to its error, then any of its pixels.
 
         `generator` is on the device.
         """
-        cells = torch.multinomial(self.errors, count, replacement=True, generator=generator)
-        within = torch.randint(self.size, (count,), generator=generator, device=self.errors.device)
+        cells = torch.multinomial(self.cells, count, replacement=True, generator=generator)
+        within = torch.randint(self.size, (count,), generator=generator, device=self.cells.device)
         numbers = (cells * self.size + within).clamp(max=self.pixels - 1)
         if self.stride:
             numbers -= ((numbers + 1) % self.stride == 0).long()
@@ -43,5 +43,5 @@ class ErrorMap:
 
         A cell's error becomes the mean of its last value and the new ones.
         """
-        errors = (colors - target).square().mean(1).clamp(min=FLOOR).to(self.errors)
-        self.errors.scatter_reduce_(0, numbers // self.size, errors, "mean")
+        errors = (colors - target).square().mean(1).clamp(min=FLOOR).to(self.cells)
+        self.cells.scatter_reduce_(0, numbers // self.size, errors, "mean")

@@ -289,15 +289,15 @@ class Trainer(Loop):
         takes_points = "sparse_depth" in self.weights
         self.depths = SparseDepths(table.scene, table.validation_stride) if takes_points else None
         seen = (len(table.training), table.validation_stride, table.device, table.dtype)
-        self.errors = ErrorMap(*seen) if self.train.error_rays else None
+        self.error_map = ErrorMap(*seen) if self.train.error_rays else None
 
     def state(self) -> dict[str, Any]:
-        return super().state() | ({"errors": self.errors.errors} if self.errors else {})
+        return super().state() | ({"errors": self.error_map.cells} if self.error_map else {})
 
     def load(self, state: Mapping[str, Any]) -> None:
         super().load(state)
-        if self.errors:
-            self.errors.errors.copy_(state["errors"])
+        if self.error_map:
+            self.error_map.cells.copy_(state["errors"])
 
     def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
         with self.watch.stage("sampling"):
@@ -307,17 +307,17 @@ class Trainer(Loop):
                 drawn, distances = self.depths.draw(known, streams["pixels"])
                 numbers[:known] = sent(drawn, numbers.device)
                 distances = distances.to(self.table.poses)
-            if self.errors:
+            if self.error_map:
                 last = len(numbers) - round(self.train.error_rays * (len(numbers) - known))
-                numbers[last:] = self.errors.draw(len(numbers) - last, streams["samples"])
+                numbers[last:] = self.error_map.draw(len(numbers) - last, streams["samples"])
             rays, pixels = self.table.batch(numbers, self.model.cameras)
         rendering, sampled, behind = self.model(
             rays, background=self.background, step=step, watch=self.watch, generator=streams["samples"]
         )
         with self.watch.stage("render"):
             target = composite(pixels, behind)
-            if self.errors:
-                self.errors.add(numbers, rendering.color, target)
+            if self.error_map:
+                self.error_map.add(numbers, rendering.color, target)
             return self.loss_terms(rendering, sampled, target, distances)
 
     def loss_terms(
