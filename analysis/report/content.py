@@ -23,7 +23,7 @@ COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
 
 MOST_KEYS = 8  # that tell configurations apart, among the first columns
 
-HEADINGS = {"run_id": "run", "scene_name": "scene", "color": "colour"}
+HEADINGS = {"run_id": "id"}  # others as they are typed
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
 """Matplotlib's markers -> Plotly's."""
 
