@@ -42,10 +42,13 @@ class Entry:
         """
         given = judged if self.function in (forest, stand_ins) else {}
         options = {name: value for name, value in given.items() if value is not None}
-        if self.trained and runs["encoder"].isna().all():  # every run that qnerf trains has an encoder
-            raise ValueError("shows what trainings of qnerf keep; these runs are of other programs")
+        if not self.suits(runs):
+            raise ValueError("only for trainings of qnerf; these runs are of other programs")
         source = best_of(runs, self.probe) if self.probe else runs
         return self.function(source, **self.options, **options)
+
+    def suits(self, runs: pd.DataFrame) -> bool:
+        return not self.trained or bool(runs["encoder"].notna().any())  # every run that qnerf trains has one
 
     def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
         """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with the runs of a scene."""

@@ -111,7 +111,7 @@ def dates(frame: pd.DataFrame) -> str:
 
 def no_pictures(drawn: pictures.Pictures) -> str:
     """Why there are no pictures; empty where there are some."""
-    absent = "No run has pictures on this page: packed runs have none, and --max-images 0 leaves them out."
+    absent = "No pictures: packed runs and those of other programs have none, and --max-images 0 leaves them out."
     return "" if drawn.files else f"{absent} {drawn.note}".strip()
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 from ..decide.records import records
 from ..figures import points
 from ..figures.files import collecting
-from ..selection import classical_baseline, main_metric, row_keys, select
+from ..selection import classical_baseline, label, main_metric, row_keys, select
 from ..tables import Table, resources
 
 MAX_ERROR = 600  # characters of an error that may list every column
@@ -57,7 +57,10 @@ def over_seeds(
         within=within,
         title="Configurations over seeds",
     )
-    return replace(table, notes=(*table.notes, not_shown))
+    same = [key for key in rows[:-1] if runs[key].nunique(dropna=False) == 1]
+    said = ", ".join(f"{key} {label(runs[key].iloc[0])}" for key in same)
+    everywhere = f"in all rows: {said}" if same else ""
+    return replace(table, text=table.text.drop(columns=same), notes=(everywhere, *table.notes, not_shown))
 
 
 def decisions(store: str | Path) -> ShownTable | None:

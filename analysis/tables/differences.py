@@ -35,7 +35,8 @@ def against(
         number: compare(groups[base], groups[number], within, metric=metric, comparisons=len(pairs))
         for number, base in pairs.items()
     }
-    name = ", ".join(",".join(condition.values) for condition in filters.parse(baseline))
+    names = [",".join(condition.values) for condition in filters.parse(baseline)]
+    name = ", ".join(text for text in names if text not in ("nan", "none"))
     notes = [
         f"difference from {name}: {method(metric, within, views=any(own.shape[1] > 1 for own in groups.values()))}"
     ]

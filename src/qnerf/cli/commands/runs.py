@@ -53,10 +53,10 @@ def main(options: argparse.Namespace) -> None:
     if store := next((condition for condition in conditions if condition.key == "store"), None):
         raise ValueError(f"{store}: the folder of runs is an option, --store {','.join(store.values)}")
     asked = [name for name in options.columns.split(",") if name]
-    wanted = [*(condition.key for condition in conditions), options.sort, *asked]
-    everything = load(options.store, wanted, options.all_columns)
+    keys = [*(condition.key for condition in conditions), options.sort, *asked]
+    everything = load(options.store, keys, options.all_columns)
     extra: list[str] = []
-    sort = str(options.sort)
+    sort: str = options.sort
     if len(everything):
         extra = [filters.check_column(name, everything.columns) for name in asked] or own_results(everything)
         sort = filters.check_column(sort, everything.columns)
