@@ -87,7 +87,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         ],
         "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
-        "quality": quality,
+        "quality": list(dict.fromkeys([*quality, metric])),
         "metric": metric,
         "aliases": filters.ALIASES,
         "scenes": finished.value_counts().index.tolist(),
