@@ -58,7 +58,8 @@ def main(options: argparse.Namespace) -> None:
     extra: list[str] = []
     sort: str = options.sort
     if len(everything):
-        extra = [filters.check_column(name, everything.columns) for name in asked] or own_results(everything)
+        asked = [filters.check_column(name, everything.columns) for name in asked]
+        extra = list(dict.fromkeys([*own_results(everything), *asked]))
         sort = filters.check_column(sort, everything.columns)
     frame = arrange(filters.select(everything, conditions), sort, options.reverse) if len(everything) else everything
     out = console()
@@ -188,7 +189,7 @@ def _heads(row: Row) -> str:
 COLUMNS = (
     Column("id", lambda row: row["run_id"], limit=255),
     Column("state", lambda row: row["state"], style=lambda row: STATE_STYLES.get(row["state"], "")),
-    Column("scene_name", _cell("scene_name"), rank=6),
+    Column("scene_name", lambda row: "-" if row.get("scene_name") == "none" else _cell("scene_name")(row), rank=6),
     Column("field", _cell("field"), rank=1),
     Column("encoder", _cell("encoder"), rank=8),
     Column("density", _cell("density"), rank=3),
