@@ -144,6 +144,7 @@ def study(record: Record, store: Path, budget: float) -> None:
     """Trains and looks until everything is decided or the last look, which `budget` seconds of training pay for."""
     question, foresee, called = record.question, foreseer(record, budget), names_of(record.question.candidates)
     record.register(budget, store)
+    said: list[str] = []
     for scene in question.scenes if question.tune and not record.looks else ():
         measure(record, scene, store, foresee)
         tune(record, scene, store, foresee)
@@ -172,14 +173,16 @@ def study(record: Record, store: Path, budget: float) -> None:
             for look in judged(question, values, alpha, last=count == record.most):
                 look["verdict"] += after_trials
                 record.looks.append({"scene": name_of(scene), "seeds": count, "spent": alpha, **look})
-                print(line(record.looks[-1], called))
+                said.append(line(record.looks[-1], called))
+                print(said[-1])
         record.save(store)
         going = [(scene, name) for scene in scenes if len(names := record.open(scene)) > 1 for name in names]
         if going:
             after = min(n for n in looks(record.most) if n > count)
             minutes = (after - count) * sum(map(cost.__getitem__, going)) / 60
             print(f"next look at {after} seeds, about {minutes:.0f} minutes of training more")
-    print("", *(line(look, called) for look in record.looks if look["ended"]), sep="\n")
+    if (found := [line(look, called) for look in record.looks if look["ended"]]) != said:  # of several looks
+        print("", *found, sep="\n")
 
 
 def most(budget: float, cost: float) -> int:
