@@ -33,6 +33,10 @@ _ABOUT = re.compile(
     re.IGNORECASE,
 )
 """Columns that say something about a run, but are neither settings nor metrics."""
+_RESULT = re.compile(
+    r"(.*[._/ -])?(acc(uracy)?|loss|error|score|f1|auc|reward|recall|perplexity|r?mse|mae)", re.IGNORECASE
+)
+"""Numbers with such a name are metrics, also where many runs share their value."""
 _TIME = re.compile(r".*(time|runtime|seconds|duration|latency)|.*_m?s", re.IGNORECASE)
 _FINISHED, _RUNNING = ("finished", "completed", "complete", "done", "success"), ("running", "scheduled", "pending")
 
@@ -68,7 +72,8 @@ def read(
         filters.check_column(column, table.columns)
     columns = [str(column) for column in table if not _ABOUT.fullmatch(str(column)) or column in given]
     columns = [column for column in columns if table[column].notna().any()]
-    seed = seed or next((column for column in columns if _SEED.fullmatch(column)), None)
+    seeds = [column for column in columns if _SEED.fullmatch(column)]
+    seed = seed or max(seeds, key=lambda column: table[column].nunique(), default=None)  # another one is a setting
     scene = scene or next((column for column in SCENES if column in table), None)
     copies = table.duplicated([column for column in table if column in columns or column == scene]) & bool(seed)
     table = table[~copies].reset_index(drop=True)  # a run that counts twice would look like another seed
@@ -187,7 +192,8 @@ def _replicated(table: pd.DataFrame, columns: Iterable[str], seed: str | None, s
     """The columns that tell configurations apart: as few as leave each seed once in a group, those of fewest values
     first, and none that leaves most runs alone in their group."""
     keys = [scene] if scene else []
-    counts = table[list(columns)].nunique(dropna=False)
+    results = [name for name in table.select_dtypes("number") if _RESULT.fullmatch(str(name))]
+    counts = table[[name for name in columns if name not in results]].nunique(dropna=False)
     for name in counts[counts > 1].sort_values(kind="stable").index:
         if seed and not table.duplicated([*keys, seed]).any():
             break
@@ -220,7 +226,8 @@ def _declare(metrics: Sequence[str], settings: Sequence[str], scene: str | None)
     for name in map(_plain, metrics):
         is_time = _TIME.fullmatch(name)
         better = metric_of(name).better or ("lower" if is_time else "higher")
-        known = METRICS.get(name, Metric(name, name, better=better, kind="time" if is_time else "signal"))
+        # taken out and put back, so that the first one is what verdicts are about
+        known = METRICS.pop(name, Metric(name, name, better=better, kind="time" if is_time else "signal"))
         METRICS[name] = replace(known, on_request=False, kind=known.kind if known.kind != "loss" else "signal")
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from qnerf.metrics import COLORLESS, quality_metrics
+from qnerf.metrics import COLORLESS, metric_of, quality_metrics
 from qnerf.records.filters import check_column
 from qnerf.records.schemas import LABELS, RECORDED, is_option, is_own
 
@@ -71,13 +71,13 @@ def select(frame: pd.DataFrame, metric: str = "psnr", rows: Sequence[str] = ()) 
     if finished.empty:
         raise ValueError(f"no finished runs among {len(frame)}: {states.to_dict()}")
     if metric not in finished.columns or not pd.api.types.is_numeric_dtype(finished[metric]):
-        raise ValueError(f"no metric {metric!r}; the runs have {', '.join(measured(finished))}")
+        raise ValueError(f"no metric {metric!r}; the runs have {_known(finished)}")
     values = finished[metric].astype(float)
     usable = finished[np.isfinite(values)].copy()
     if usable.empty:
         reasons = finished.get(f"{metric}_reason", pd.Series(dtype=object)).dropna()
         why = f" ({reasons.iloc[0]})" if len(reasons) else ""
-        raise ValueError(f"no finished run of {len(finished)} has {metric}{why}; have: {', '.join(measured(finished))}")
+        raise ValueError(f"no finished run of {len(finished)} has {metric}{why}; have: {_known(finished)}")
     if rows:
         refuse_mixtures(usable, rows)
     left_out: dict[str, int] = {str(name): count for name, count in states.drop("finished").items()}
@@ -112,7 +112,7 @@ def configuration(frame: pd.DataFrame) -> list[str]:
 def settings(runs: pd.DataFrame) -> pd.DataFrame:
     """The settings in which the results of runs may differ, as text; "" where one does not act in a run."""
     differing = [name for name in configuration(runs) if runs[name].nunique(dropna=False) > 1]
-    texts = runs[differing].map(lambda value: "" if value is None or value != value else str(value))
+    texts = runs[differing].map(lambda value: "" if value is None or value != value else _part(value))
     tracked = runs.get("encoder", pd.Series("", runs.index)).isna()  # every run that qnerf trains has an encoder
     for name in texts.columns.intersection(_OF_TRACKED):
         texts[name] = texts[name].where(tracked, "")
@@ -137,6 +137,12 @@ def measured(runs: pd.DataFrame) -> list[str]:
         for name in runs.select_dtypes("number").columns
         if name not in known and name not in _PROGRESS and runs[name].notna().any()
     ]
+
+
+def _known(runs: pd.DataFrame, most: int = 8) -> str:
+    """The first columns of `measured`, qualities before sizes and times."""
+    names = sorted(measured(runs), key=lambda name: metric_of(name).kind in ("size", "time"))
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 
 def row_keys(runs: pd.DataFrame) -> list[str]:
@@ -174,7 +180,8 @@ def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, obj
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
     """ValueError where a key is no column, with the nearest names, or a run can have several of its values."""
     for key in rows:
-        check_column(key, frame.columns)
+        if (known := check_column(key, frame.columns)) != key:
+            raise ValueError(f"no run has a column {key!r}; did you mean {known}?")
         if frame[key].map(lambda value: isinstance(value, (tuple, list))).any():
             raise ValueError(f"a run can have several {key}; expected a key with one value a run")
 
@@ -214,7 +221,7 @@ def label(key: object) -> str:
 
 
 def _part(value: object) -> str:
-    if pd.isna(value):
+    if value is None or value != value:
         return "none"
     return f"{value:.0f}" if isinstance(value, float) and value.is_integer() else str(value)
 

@@ -238,11 +238,11 @@ def compare(
     return found, float(moved)
 
 
-def method(metric: str, within: float) -> str:
-    """What a table's verdicts are, for under it."""
+def method(metric: str, within: float, *, views: bool = True) -> str:
+    """What a table's verdicts are, for under it; views: whether a run is the mean of several."""
     band = f"the 90 % interval is within ± {within:g} {metric_of(metric).unit}".rstrip()
     return (
-        f"trimmed means of the runs over the same views (Yuen's t), ± of 95 %; equivalent: "
+        f"trimmed means of the runs{' over the same views' * views} (Yuen's t), ± of 95 %; equivalent: "
         f"{band if within else 'give --within, the smallest difference that matters'}; "
         "* holds for all rows together; no registered study"
     )

@@ -20,9 +20,8 @@ from .. import command
 from ..selection import TUNING, colorless, measured
 from ..tables.differences import interval
 from ..verdict import verdict, within_of
-from .commands import is_command
 from .looks import FIRST, MOST, looks, shares
-from .records import name_of, title
+from .records import is_command, name_of, names_of, title
 from .study import Question, Record, trained
 from .tune import AGAIN, tune
 
@@ -143,8 +142,9 @@ def duration(text: str) -> float:
 
 def study(record: Record, store: Path, budget: float) -> None:
     """Trains and looks until everything is decided or the last look, which `budget` seconds of training pay for."""
-    question, foresee = record.question, foreseer(record, budget)
+    question, foresee, called = record.question, foreseer(record, budget), names_of(record.question.candidates)
     record.register(budget, store)
+    said: list[str] = []
     for scene in question.scenes if question.tune and not record.looks else ():
         measure(record, scene, store, foresee)
         tune(record, scene, store, foresee)
@@ -173,14 +173,16 @@ def study(record: Record, store: Path, budget: float) -> None:
             for look in judged(question, values, alpha, last=count == record.most):
                 look["verdict"] += after_trials
                 record.looks.append({"scene": name_of(scene), "seeds": count, "spent": alpha, **look})
-                print(line(record.looks[-1]))
+                said.append(line(record.looks[-1], called))
+                print(said[-1])
         record.save(store)
         going = [(scene, name) for scene in scenes if len(names := record.open(scene)) > 1 for name in names]
         if going:
             after = min(n for n in looks(record.most) if n > count)
             minutes = (after - count) * sum(map(cost.__getitem__, going)) / 60
             print(f"next look at {after} seeds, about {minutes:.0f} minutes of training more")
-    print("", *(line(look) for look in record.looks if look["ended"]), sep="\n")
+    if (found := [line(look, called) for look in record.looks if look["ended"]]) != said:  # of several looks
+        print("", *found, sep="\n")
 
 
 def most(budget: float, cost: float) -> int:
@@ -270,10 +272,10 @@ def judged(
         yield {"baseline": baseline, "candidate": name, **numbers, **said}
 
 
-def line(look: Mapping[str, Any]) -> str:
-    """`4 seeds: fox: field=qcolor - field=classical: -0.20 ± 1.73 (99.9 %), undecided`."""
-    names = f"{title(look['scene'], look['candidate'])} - {look['baseline']}"
-    return f"{look['seeds']} seeds: {names}: {look['shown']} ({100 * (1 - look['spent']):.4g} %), {look['verdict']}"
+def line(look: Mapping[str, Any], names: Mapping[str, str]) -> str:
+    """`4 seeds: fox: field=qcolor - field=classical: -0.20 ± 1.73 (99.9 %), undecided`; names: as of `names_of`."""
+    pair = f"{title(look['scene'], names[look['candidate']])} - {names[look['baseline']]}"
+    return f"{look['seeds']} seeds: {pair}: {look['shown']} ({100 * (1 - look['spent']):.4g} %), {look['verdict']}"
 
 
 if __name__ == "__main__":

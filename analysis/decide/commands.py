@@ -6,6 +6,7 @@ file's folder trains the run, as with runs.
 """
 
 import hashlib
+import math
 import os
 import shlex
 import subprocess
@@ -20,12 +21,7 @@ from qnerf.records import owner, state
 
 from .records import FOLDER
 
-TRACKED = "tracked"
-
-
-def is_command(words: Sequence[str]) -> bool:
-    """Overrides have the form KEY=VALUE or ~KEY; any other word belongs to a command."""
-    return any("=" not in word and word[0] != "~" for word in words)
+TRACKED, SECONDS = "tracked", "seconds"
 
 
 def run_of(words: Sequence[str], seed: int, store: Path) -> Path:
@@ -35,13 +31,19 @@ def run_of(words: Sequence[str], seed: int, store: Path) -> Path:
 
 
 def train(words: Sequence[str], seeds: Sequence[int], store: Path, foresee: Callable[[float], object]) -> None:
-    """Trains the runs that are not finished, with the errors of `_process`; `foresee` gets the seconds of each."""
+    """Trains the runs that are not finished, with the errors of `_process`; `foresee` gets the `seconds` of each."""
     while left := [seed for seed in seeds if state(run_of(words, seed, store)) != "finished"]:
-        begun = time.monotonic()
-        if any(_process(words, seed, store) for seed in left):
-            foresee(time.monotonic() - begun)
-        else:
+        ended = next((seed for seed in left if _process(words, seed, store)), None)
+        if ended is None:
             time.sleep(RETRY)
+        else:
+            foresee(seconds(words, ended, store))
+
+
+def seconds(words: Sequence[str], seed: int, store: Path) -> float:
+    """What the processes of a run took, their start included, which its own `train_s` lacks; NaN where none ended."""
+    file = _folder(words, seed, store) / SECONDS
+    return float(file.read_text()) if file.exists() else math.nan
 
 
 def _process(words: Sequence[str], seed: int, store: Path) -> bool:
@@ -57,9 +59,12 @@ def _process(words: Sequence[str], seed: int, store: Path) -> bool:
         if (now := state(run_of(words, seed, store))) in ("finished", "running"):
             return now == "finished"
         print(what, flush=True)
+        begun = time.monotonic()
         own = {"QNERF_SEED": str(seed), "QNERF_STORE": str(store.absolute()), "QNERF_TRACKED": str(folder / TRACKED)}
         with child([word.replace("{seed}", str(seed)) for word in words], env=os.environ | own) as process:
             code = process.wait()
+        before = seconds(words, seed, store) if (folder / SECONDS).exists() else 0.0
+        (folder / SECONDS).write_text(str(before + time.monotonic() - begun))
     except FileNotFoundError as error:
         raise ValueError(f"{what}: {error.strerror}; expected a command, or overrides such as field=qcolor") from error
     finally:

@@ -1,7 +1,8 @@
 """What was decided in a store, read without anything that trains."""
 
 import contextlib
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,10 @@ def records(store: str | Path) -> pd.DataFrame:
             changes = "; ".join(f"budget {change['budget']:g} s at {change['time']}" for change in found["changes"])
             study = {"registered": found["registered"]["time"], "changes": changes}
             how = [searched(found["tuned"], look) for look in last.to_dict("records")]
+            names = names_of(found["question"]["candidates"])
+            if any(name != text for text, name in names.items()):
+                asked["candidates"] = "; ".join(names)
+                last = last.replace({"baseline": names, "candidate": names})
             tables.append(last.assign(**asked, most=found["most"], steps=steps, **study, searched=how))
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
@@ -49,6 +54,30 @@ def name_of(scene: str) -> str:
     """The name of a scene by its overrides: its folder's or, without one, its kind."""
     values = dict(part.partition("=")[::2] for part in scene.split())
     return Path(values.get("scene.path") or values.get("scene", scene)).name
+
+
+def names_of(candidates: Sequence[str]) -> dict[str, str]:
+    """Candidate -> what verdicts call it: of commands the words in which they differ, with the option before them.
+
+    >>> names_of(["python train.py --model a --fast", "python train.py --model b --fast"])
+    {'python train.py --model a --fast': '--model a', 'python train.py --model b --fast': '--model b'}
+    """
+    words = [text.split() for text in candidates]
+    if not any(map(is_command, words)):
+        return {text: text for text in candidates}
+    shortest = min(map(len, words)) - 1  # a word is left of each
+    columns, backwards = zip(*words, strict=False), zip(*(own[::-1] for own in words), strict=False)
+    same = lambda column: len(set(column)) == 1  # noqa: E731
+    start = min(shortest, sum(1 for _ in itertools.takewhile(same, columns)))
+    end = min(shortest - start, sum(1 for _ in itertools.takewhile(same, backwards)))
+    if start and words[0][start - 1].startswith("-"):
+        start -= 1
+    return {text: " ".join(own[start : len(own) - end]) for text, own in zip(candidates, words, strict=True)}
+
+
+def is_command(words: Sequence[str]) -> bool:
+    """Overrides have the form KEY=VALUE or ~KEY; any other word belongs to a command."""
+    return any("=" not in word and word[0] != "~" for word in words)
 
 
 def title(scene: str, candidate: str) -> str:

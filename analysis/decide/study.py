@@ -18,8 +18,8 @@ from qnerf.cli.identify import run_ids
 from qnerf.records.files import read_json, replace
 
 from ..load import runs
-from .commands import child, ended, is_command, run_of, train
-from .records import FOLDER, name_of, title
+from .commands import child, ended, run_of, seconds, train
+from .records import FOLDER, is_command, name_of, title
 
 notes: set[str] = set()
 """What trainings of this process have told already."""
@@ -167,7 +167,11 @@ def started(arguments: Sequence[str], foresee: Callable[[float], object]) -> Non
 
 
 def found(words: Sequence[str], seeds: Sequence[int], store: Path) -> pd.DataFrame:
-    """The rows of these runs, as `load.runs` has them, in the order of the seeds; a missing run's are empty."""
+    """The rows of these runs, as `load.runs` has them, in the order of the seeds; a missing run's are empty.
+
+    `train_s` of a command is what its process took."""
     own = [run_of(words, seed, store).name for seed in seeds] if is_command(words) else run_ids(words, seeds, store)
     frame = runs(store).set_index("run_id").reindex(own)
+    if is_command(words):
+        frame["train_s"] = [seconds(words, seed, store) for seed in seeds]
     return frame.assign(error=frame.get("error"))

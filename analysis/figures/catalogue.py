@@ -26,13 +26,14 @@ class Entry:
 
     function: takes the DataFrame of `load.runs`; or the folder of one run, if `probe` names the table that `qnerf
         probe` has to write for it.
-    options: keyword arguments of `function`.
+    options: keyword arguments of `function`. trained: it needs models, pictures or curves of runs that qnerf trained.
     """
 
     title: str
     function: Callable[..., Figure]
     options: Mapping[str, str] = field(default_factory=dict)
     probe: str = ""
+    trained: bool = True
 
     def draw(self, runs: pd.DataFrame, **judged: Any) -> Figure:
         """The figure of these runs, or of the best probed one. Raises ValueError with what is missing.
@@ -41,8 +42,13 @@ class Entry:
         """
         given = judged if self.function in (forest, stand_ins) else {}
         options = {name: value for name, value in given.items() if value is not None}
+        if not self.suits(runs):
+            raise ValueError("only for trainings of qnerf; these runs are of other programs")
         source = best_of(runs, self.probe) if self.probe else runs
         return self.function(source, **self.options, **options)
+
+    def suits(self, runs: pd.DataFrame) -> bool:
+        return not self.trained or bool(runs["encoder"].notna().any())  # every run that qnerf trains has one
 
     def scenes(self, name: str, runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
         """Name of a figure -> the runs it shows: `name` with all runs, or <name>_<scene> with the runs of a scene."""
@@ -61,7 +67,7 @@ FIGURES = {
     "octaves": Entry("Error in each octave of spatial frequency", octave_errors),
     "time": Entry("PSNR against the time of whole trainings", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
-    "forest": Entry("Differences from the baseline, scene by scene", forest),
+    "forest": Entry("Differences from the baseline, scene by scene", forest, trained=False),
     "stand_ins": Entry("A circuit head and its stand-ins, with verdicts", stand_ins),
     "qualitative": Entry("Truth, render, error and depth of typical runs", qualitative_grid),
     "spectrum": Entry("Fourier spectrum of a trained head", fourier_spectrum, probe="spectrum"),

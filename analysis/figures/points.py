@@ -76,7 +76,7 @@ def names(
     """
     labels = table.assign(
         hash=table["hash"].where(table["encoder"] == "hash", ""),
-        steps=table["train.steps"].map("{:,.0f} steps".format),
+        steps=table["train.steps"].map("{:,.0f} steps".format, na_action="ignore"),
     )
     used = [key for key in _NAME_LABELS if key in always or (labels[key].nunique() > 1 and key not in never)]
     used = used or [key for key in ("color", "field") if key not in never][-1:]

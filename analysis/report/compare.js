@@ -43,7 +43,7 @@ function drawViews(runs, views) {
   $("comparison").hidden = !together.length;
   const without = runs.filter((_, place) => !Object.keys(views[place]).length).map((run) => letter(runs.indexOf(run)));
   const reasons = [];
-  if (without.length) reasons.push(`No pictures of ${without.join(", ")} here: the run has none yet, or the page had no room for them (--max-images, --filter).`);
+  if (without.length && !DATA.pictures.none) reasons.push(`No pictures of ${without.join(", ")} here: the run has none yet, or the page had no room for them (--max-images, --filter).`);
   if (pictured.length && !together.length) reasons.push("These runs were rendered from different views: choose runs of one scene.");
   $("no-comparison").textContent = reasons.join(" ");
   $("no-comparison").hidden = !reasons.length;

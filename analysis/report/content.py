@@ -23,7 +23,7 @@ COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
 
 MOST_KEYS = 8  # that tell configurations apart, among the first columns
 
-HEADINGS = {"run_id": "run", "scene_name": "scene", "color": "colour"}
+HEADINGS = {"run_id": "id"}  # others as they are typed
 SYMBOLS = {"s": "square", "o": "circle", "^": "triangle-up", "D": "diamond"}
 """Matplotlib's markers -> Plotly's."""
 
@@ -87,7 +87,7 @@ def data(frame: pd.DataFrame, drawn: pictures.Pictures, logged: dict[int, Any]) 
         ],
         "usual": usual,
         "metrics": {name: _described(name) for name in {*METRICS, *HEADINGS, *columns}},
-        "quality": quality,
+        "quality": list(dict.fromkeys([*quality, metric])),
         "metric": metric,
         "aliases": filters.ALIASES,
         "scenes": finished.value_counts().index.tolist(),
@@ -111,7 +111,7 @@ def dates(frame: pd.DataFrame) -> str:
 
 def no_pictures(drawn: pictures.Pictures) -> str:
     """Why there are no pictures; empty where there are some."""
-    absent = "No run has pictures on this page: packed runs have none, and --max-images 0 leaves them out."
+    absent = "No pictures: packed runs and those of other programs have none, and --max-images 0 leaves them out."
     return "" if drawn.files else f"{absent} {drawn.note}".strip()
 
 

@@ -16,12 +16,13 @@ PIXELS_AN_INCH = 140  # on the page: text of 7 points is 13.6 pixels high
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure with its size on the page in pixels."""
+    """A figure with its size on the page in pixels; kind: "ink", which a dark page inverts, or "pictures"."""
 
     title: str
     image: str
     width: int
     height: int
+    kind: str
 
 
 def draw(name: str, frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], dict[str, str]]:
@@ -42,4 +43,5 @@ def draw(name: str, frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], di
 def embedded(title: str, figure: Figure) -> Drawn:
     width, height = (round(inches * PIXELS_AN_INCH) for inches in figure.get_size_inches())
     image = base64.b64encode(rendered(figure, "svg")).decode()
-    return Drawn(title, f"data:image/svg+xml;base64,{image}", width, height)
+    kind = "pictures" if any(ax.images for ax in figure.axes) else "ink"
+    return Drawn(title, f"data:image/svg+xml;base64,{image}", width, height, kind)

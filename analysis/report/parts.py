@@ -35,9 +35,9 @@ def parts(frame: pd.DataFrame, **judged: Any) -> list[Part]:
         configurations.tables.append(decided)
     more = Part("more", "Figures", "Figures")
     absent: dict[str, str] = {}
-    for name in [name for name in FIGURES if name not in SHOWN_ABOVE]:
+    for name in [name for name, entry in FIGURES.items() if name not in SHOWN_ABOVE and entry.suits(frame)]:
         drawn, reasons = draw(name, frame, **judged)
         more.figures += drawn
         absent |= reasons
     more.absent = [f"{titles}: {reason}" for reason, titles in by_reason(absent).items()]
-    return [configurations, more]
+    return [configurations, more] if more.figures or more.absent else [configurations]

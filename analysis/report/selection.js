@@ -12,10 +12,11 @@ function parseFilter(text) {
 function conditionOf(word) {
   const [, name, operator, wanted] = /^([^=<>!]+)(!=|[=<>])(.*)$/s.exec(word) ?? [];
   if (!name) return (run) => value("run_id", run).includes(word);
-  const key = DATA.aliases[name] ?? name.replace(/^colour\./, "color.");
+  const plain = DATA.aliases[name] ?? name.replace(/^colour\./, "color.");
+  const key = columns.has(plain) ? plain : `train.${plain}`; // as an option of a tracked run is called
   if (!columns.has(key)) {
-    const near = [...columns.keys()].filter((one) => one.includes(key)).slice(0, 4).join(", ");
-    throw new Error(`no run has a column ${key}${near && `; did you mean ${near}?`}`);
+    const near = [...columns.keys()].filter((one) => one.includes(plain)).slice(0, 4).join(", ");
+    throw new Error(`no run has a column ${plain}${near && `; did you mean ${near}?`}`);
   }
   if (operator === "<") return (run) => typeof value(key, run) === "number" && value(key, run) < Number(wanted);
   if (operator === ">") return (run) => typeof value(key, run) === "number" && value(key, run) > Number(wanted);

@@ -11,10 +11,11 @@ import pandas as pd
 from ..decide.records import records
 from ..figures import points
 from ..figures.files import collecting
-from ..selection import classical_baseline, main_metric, row_keys, select
+from ..selection import classical_baseline, label, main_metric, row_keys, select
 from ..tables import Table, resources
 
 MAX_ERROR = 600  # characters of an error that may list every column
+DECIDED = ("scene", "candidate", "baseline", "verdict", "difference", "seeds")  # the first columns of studies
 MAX_ROWS = 30  # configurations of a scene in the ablation table
 
 
@@ -57,7 +58,10 @@ def over_seeds(
         within=within,
         title="Configurations over seeds",
     )
-    return replace(table, notes=(*table.notes, not_shown))
+    same = [key for key in rows[:-1] if runs[key].nunique(dropna=False) == 1]
+    said = ", ".join(f"{key} {label(runs[key].iloc[0])}" for key in same)
+    everywhere = f"in all rows: {said}" if same else ""
+    return replace(table, text=table.text.drop(columns=same), notes=(everywhere, *table.notes, not_shown))
 
 
 def decisions(store: str | Path) -> ShownTable | None:
@@ -66,6 +70,8 @@ def decisions(store: str | Path) -> ShownTable | None:
     if found.empty:
         return None
     found = found.dropna(axis=1, how="all").loc[:, found.astype(str).ne("").any()]
+    found = found.drop(columns=["difference", "reach"], errors="ignore").rename(columns={"shown": "difference"})
+    found = found[sorted(found, key=lambda name: DECIDED.index(name) if name in DECIDED else len(DECIDED))]
     text = found.map(
         lambda value: (
             "" if value is None or value != value else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -34,6 +34,7 @@ def verdicts(
     decided: dict[str, list[tuple[str, ...]]] = defaultdict(list)
     scenes = frame["scene_name"].dropna().unique()
     unnamed = str(scenes[0]) if len(scenes) == 1 else "decided"  # of a study without --scene
+    unnamed = "all runs" if unnamed == "none" else unnamed
     for look in records(Path(str(frame["path"].iloc[0])).parent).to_dict("records"):
         if look["seeds"]:
             name, unit = f"{look['candidate']} - {look['baseline']}", metric_of(look["metric"]).unit
@@ -50,7 +51,7 @@ def verdicts(
         best = (table.data["difference"] * metric_of(metric).sign).sort_values(ascending=False, kind="stable").index
         for name, scene, difference, verdict, seeds in table.text.loc[best].itertuples(index=False):
             if seeds:  # else a mean over scenes, which the forest plot shows
-                cards[scene].append(
+                cards["all runs" if scene == "none" else scene].append(
                     (name, verdict, f"{difference} {metric_of(metric).unit or metric}", f"{seeds} seeds", "")
                 )
         more = max(map(len, cards.values()), default=0) - MOST

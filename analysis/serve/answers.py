@@ -12,7 +12,7 @@ import pandas as pd
 from PIL import Image
 
 import qnerf
-from qnerf.metrics import metric_of, quality_metrics
+from qnerf.metrics import metric_of
 from qnerf.records import filters, read_config
 
 from ..images import panels, pictures
@@ -21,7 +21,7 @@ from ..report import content, curves
 from ..report.pictures import Pictures
 from ..report.tables import ShownTable, decisions
 from ..report.verdicts import verdicts
-from ..selection import row_keys, select
+from ..selection import main_metric, row_keys, select
 from ..tables import ablation
 from .store import WatchedStore
 
@@ -117,10 +117,9 @@ class Answers:
         if frame.empty:
             raise ValueError("there are no runs yet")
         chosen = filters.require(frame, filter) if filter.strip() else frame
-        metric = metric or "psnr"
-        keys = [filters.column(key) for key in rows.split(",") if key.strip()] or row_keys(select(chosen, metric).runs)
-        if metric not in {item.key for item in quality_metrics()}:
-            baseline = ""
+        metric = metric or main_metric(chosen)
+        asked = [filters.check_column(key, chosen.columns) for key in rows.split(",") if key.strip()]
+        keys = asked or row_keys(select(chosen, metric).runs)
         try:
             least = float(within) if within.strip() else None
         except ValueError:

@@ -95,9 +95,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if "metric" in known:
         given["metric"] = metric
     if "rows" in known:
-        given["rows"] = list(map(filters.column, options.rows or row_keys(select(frame, metric).runs)))
+        keys = options.rows or row_keys(select(frame, metric).runs)
+        given["rows"] = [filters.check_column(key, frame.columns) for key in keys]
     if options.values:
-        given["values"] = list(map(filters.column, options.values))
+        given["values"] = [filters.check_column(name, frame.columns) for name in options.values]
     table = make(frame, **given)
     command.show(table, options.format)
 

@@ -35,8 +35,11 @@ def against(
         number: compare(groups[base], groups[number], within, metric=metric, comparisons=len(pairs))
         for number, base in pairs.items()
     }
-    name = ", ".join(",".join(condition.values) for condition in filters.parse(baseline))
-    notes = [f"difference from {name}: {method(metric, within)}"]
+    names = [",".join(condition.values) for condition in filters.parse(baseline)]
+    name = ", ".join(text for text in names if text not in ("nan", "none"))
+    notes = [
+        f"difference from {name}: {method(metric, within, views=any(own.shape[1] > 1 for own in groups.values()))}"
+    ]
     if moved := max((other for _, other in found.values()), default=0):
         notes.append(f"other views: up to ± {metric_of(metric).text(moved)} more, whatever the number of seeds")
     if len(unmatched):
@@ -52,9 +55,12 @@ def references(keys: pd.DataFrame, rows: Sequence[str], baseline: str | Mapping[
 
     ValueError where no scene has one, or a scene has several.
     """
-    outside = [condition.key for condition in filters.parse(baseline) if condition.key not in rows]
-    if outside:
-        raise ValueError(f"baseline: {outside[0]!r} is not a row key; the rows are {', '.join(rows)}")
+    for condition in filters.parse(baseline):
+        try:
+            filters.check_column(condition.key, rows)
+        except ValueError:
+            known = ", ".join(rows)
+            raise ValueError(f"baseline: {condition.key!r} is not a row key; the rows are {known}") from None
     matches = set(filters.require(keys, baseline, "rows").index)
     scenes = _scene_keys(rows)
     found: dict[Any, int | None] = {}

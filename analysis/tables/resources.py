@@ -107,5 +107,5 @@ def _notes(frame: pd.DataFrame, rate: float, costs: int, measured: int, *damaged
     notes = [f"device hours: {SHOTS:,} shots an evaluation, {rate:,.0f} shots a second"] if costs else []
     for count, probe in ((costs, "cost"), (measured, "shots=100,1000")):
         if count < circuits:
-            notes.append(f"{circuits - count} of {circuits} runs with circuits lack it: qnerf probe RUN {probe}")
+            notes.append(f"{circuits - count} of {circuits} circuit runs were not probed: qnerf probe RUN {probe}")
     return [*notes, *damaged]

@@ -36,9 +36,12 @@ def across_scenes(
     verdicts, notes = against(selection.runs, rows, keys, baseline, metric, within_of(metric, within, 0))
     notes.append(selection.note)
     telling = [key for key in others if keys[key].nunique(dropna=False) > 1] or others
+    called = keys[telling].apply(lambda row: label(tuple(row.dropna())), axis=1)
+    if called.nunique() < keys[telling].drop_duplicates().shape[0]:
+        called = keys[telling].apply(lambda row: label(tuple(row)), axis=1)
     lines: list[tuple[str, str, Verdict]] = []
     for _, members in keys.groupby(others, dropna=False, sort=False):
-        name = label(tuple(keys.loc[members.index[0], telling]))
+        name = called[members.index[0]]
         own = {label(tuple(keys.loc[row, scenes])): found for row in members.index if (found := verdicts[row])}
         if not own:
             continue

@@ -4,12 +4,13 @@ import runpy
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 from qnerf.analysis.decide import __main__ as decide
-from qnerf.analysis.decide import commands
+from qnerf.analysis.decide import commands, study
 from qnerf.analysis.decide.records import records
 
 from qnerf.records import owner
@@ -75,6 +76,8 @@ def test_a_study_of_commands_stops_and_goes_on_to_its_verdict(begun, tmp_path, c
     decide.main(asked)
     assert begun.seeds == [0, 1, 0, 0, 1, 2, 3, 4, 5, 2, 3, 4, 5]
     assert records("runs")["verdict"].str.split(";").str[0].tolist() == ["better"]
+    assert records("runs")[["candidate", "baseline"]].to_numpy().tolist() == [["--width 32", "--width 2"]]
+    assert study.found(asked[0].split(), range(6), Path("runs"))["train_s"].gt(0).all()
     frame = pd.concat([pd.read_parquet(run / "summary.parquet") for run in folders("runs")])
     assert sorted(zip(frame["train.width"], frame["seed"], strict=True)) == [(w, s) for w in (2, 32) for s in range(6)]
     decide.main(asked)

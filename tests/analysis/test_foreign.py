@@ -118,3 +118,14 @@ def test_what_is_no_table_is_refused_in_a_line(tmp_path, monkeypatch):
         load.runs(tmp_path / "mlruns")
     with pytest.raises(ValueError, match="seed: a store of qnerf knows this"):
         load.runs(tmp_path, seed="seed")
+
+
+def test_of_two_seeds_the_one_that_varies_counts_and_a_result_may_repeat(capsys):
+    """As a public table of language models has them: a corpus of one seed, and an accuracy that is often 0."""
+    rows = [
+        {"corpus_seed": 1, "training_seed": seed, "drop": dropout, "test_accuracy": float(seed > 2), "loss": seed / 7}
+        for dropout in (0.0, 0.2) for seed in range(5)
+    ]  # fmt: skip
+    frame = load.runs(pd.DataFrame(rows))
+    assert "seed training_seed; metrics test_accuracy, loss" in capsys.readouterr().err
+    assert selection.main_metric(frame) == "test_accuracy"

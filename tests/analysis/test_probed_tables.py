@@ -68,7 +68,7 @@ def test_a_row_has_quality_cost_hardware_and_verdict(store):
     assert row["cost.view_hours", "mean"] == pytest.approx(72 / 3600)
     steps = load.runs(store)["train.steps"].iloc[0]
     assert row["cost.train_hours", "mean"] == pytest.approx(360 * steps / 3600)
-    assert "1 of 2 runs with circuits lack it: qnerf probe RUN cost" in table.notes
+    assert "1 of 2 circuit runs were not probed: qnerf probe RUN cost" in table.notes
     assert table.text.set_index("field").loc["classical", "gates"] == ""
     write_run(store, "qcolor", 2, [26.0] * 3)
     one = pd.DataFrame(measured(0, "none", 0.0, 20.0) + measured(100, "none", 0.0, 19.0))

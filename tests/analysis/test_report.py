@@ -217,7 +217,7 @@ def test_a_store_without_a_finished_run_has_a_page_that_says_so(tmp_path):
     assert written.name == "index.html"
     text = written.read_text(encoding="utf-8")
     assert "no finished runs among 1" in text
-    assert "No run has pictures" in text
+    assert "No pictures: packed runs" in text
     assert "No run has logged" in text
 
 

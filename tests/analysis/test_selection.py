@@ -49,8 +49,8 @@ def test_an_option_that_does_not_act_in_a_run_is_no_setting_of_it():
     rows = [base | {"field": "classical", "color.mlp.width": 64.0}, base | {"head": "1L2S", "head.qiren.layers": 1.0}]
     made = settings(pd.DataFrame(rows))
     assert made.to_dict("records") == [
-        {"color.mlp.width": "64.0", "head.qiren.layers": ""},
-        {"color.mlp.width": "", "head.qiren.layers": "1.0"},
+        {"color.mlp.width": "64", "head.qiren.layers": ""},
+        {"color.mlp.width": "", "head.qiren.layers": "1"},
     ]
 
 

@@ -68,11 +68,11 @@ def test_noise_that_is_slow_is_sampled_with_a_standard_error_and_its_time_told_b
     rows = evaluate_hardware(load(path), conditions, views=1, patterns=3, tell=lines.append)
     assert rows["noise"].tolist() == ["none", "depolarizing two_qubit=0.02 readout=0.01"]
     assert rows["psnr"].nunique() == 2
-    assert ", 1 views: about 0 minutes" in lines[1]
+    assert lines[0].startswith("2 conditions, 1 views: about 0 minutes")
     assert "standard error of a value 0." in lines[2]
     lines.clear()
     evaluate_hardware(load(path), grid([10], "none", [], 0), views=1, tell=lines.append)
-    assert ", 1 views: about 0 minutes; views= renders fewer" in lines[1]
+    assert lines[0] == "2 conditions, 1 views: about 0 minutes; views= renders fewer"
     monkeypatch.setattr(shots_and_noise, "seconds_of", lambda *_: 1e5)
     with pytest.raises(ValueError, match=r", 1 views: about 1,667 minutes; .*, or run.hours=56 goes on"):
         evaluate_hardware(load(path), grid([10], "none", [], 0), views=1)

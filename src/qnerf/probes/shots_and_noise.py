@@ -1,6 +1,7 @@
 """A trained run rendered as on hardware: with finitely many shots, or with noisy gates."""
 
 import itertools
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -15,7 +16,7 @@ from qnerf.quantum.noise import CHANNELS, Noise
 from qnerf.records.files import replace
 from qnerf.records.read import read_probe
 from qnerf.training.evaluation import Evaluator
-from qnerf.training.forecast import announced
+from qnerf.training.forecast import TELL, announced
 
 FILE = "eval_hardware.parquet"
 OTHERS = tuple(field.name for field in fields(Noise) if field.name not in CHANNELS)
@@ -117,20 +118,22 @@ def evaluate_hardware(
         return read_probe(folder, path.stem) if path.exists() else None
 
     measured()  # a damaged table is reported now
-    table = pd.DataFrame()
+    table, chosen = pd.DataFrame(), scene.eval[: views or None]
+    costs = [condition for condition in conditions if condition.device.gates or condition.shots]
+    seconds = sum(seconds_of(evaluator, condition, patterns, chosen) for condition in costs)
+    what = f"{len(conditions)} conditions, {len(chosen)} views"
+    if line := announced(what, seconds, trained.settings.run.hours, "views= renders fewer"):
+        tell(line)
     for condition in conditions:
-        chosen = scene.eval[: views or None]
-        if condition.device.gates or condition.shots:
-            seconds = seconds_of(evaluator, condition, patterns, chosen)
-            less = "views= renders fewer"
-            if line := announced(f"{_text(condition)}, {len(chosen)} views", seconds, trained.settings.run.hours, less):
-                tell(line)
-        rows = []
+        rows, told = [], time.monotonic()
         with hardware_conditions.conditions(
             model, shots=condition.shots or None, noise=condition.device, seed=condition.seed, patterns=patterns
         ) as measuring:
             for _, row in evaluator.views(chosen, trained.step):
                 rows.append(row | condition.keys)
+                if time.monotonic() - told > TELL and len(rows) < len(chosen):
+                    tell(f"{_text(condition)}: {len(rows)} of {len(chosen)} views")
+                    told = time.monotonic()
         new = pd.DataFrame(rows).astype({item.key: "float64" for item in image_metrics()})
         # Read and written after each condition, so that no row is lost if this stops or another command writes too.
         earlier = measured()

@@ -116,7 +116,8 @@ def require(frame: pd.DataFrame, conditions: str | Mapping[str, Any], rows: str 
     chosen = select(frame, filters)
     if chosen.empty:
         text = conditions if isinstance(conditions, str) else ", ".join(f"{key}={v}" for key, v in conditions.items())
-        known = "; ".join(f"{key}: {known_values(frame[key])}" for key in dict.fromkeys(item.key for item in filters))
+        keys = dict.fromkeys(check_column(item.key, frame.columns) for item in filters)
+        known = "; ".join(f"{key}: {known_values(frame[key])}" for key in keys)
         raise ValueError(f"no {rows.removesuffix('s')} of {len(frame):,} has {text}; there are {known}")
     return chosen
 
@@ -132,10 +133,13 @@ def known_values(column: pd.Series, limit: int = 8) -> str:
 
 
 def check_column(name: str, known: Iterable[str]) -> str:
-    """The name itself; ValueError with the nearest known ones if it is unknown."""
-    known = list(known)
-    if name in known:
-        return name
+    """The known column that a user means: in `ALIASES`, and for an option of a tracked run, its name without `train.`.
+
+    ValueError with the nearest known ones where there is none.
+    """
+    known, name = list(known), column(name)
+    if found := next((own for own in (name, f"train.{name}") if own in known), None):
+        return found
     ends = [column for column in known if column.endswith(f".{name}")]
     near = ends[:6] or difflib.get_close_matches(name, known, n=4, cutoff=0.4) or known[:12]
     raise ValueError(f"no run has a column {name!r}; did you mean {', '.join(near)}?")

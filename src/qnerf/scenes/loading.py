@@ -275,6 +275,8 @@ def unread(capture: Capture, posed: Sequence[PosedImage], views: Sequence[PosedI
         yield f"{without} images without a pose"
     masks = {image.mask.file for image in views if image.mask is not None}
     tops = {capture.folder.relative(path).split("/")[0] for path in (*files, *masks)} | set(capture.read)
+    if "transforms.json" in tops:
+        tops.add("sparse")  # `qnerf capture` writes both, for two kinds of scenes
     stems = {top.split("_")[0] for top in tops}
     others = sorted(
         f"{path.name}/" if path.is_dir() else path.name

@@ -18,8 +18,8 @@ def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
     qnerf("tag", "aaaa", "good", "base")
     titles, *lines = (line.split() for line in qnerf("runs", "--sort", "psnr").out.splitlines())
     assert titles == [
-        "id", "state", "scene", "field", "encoder", "color", "params", "heads", "PSNR", "SSIM", "steps", "time", "age",
-        "tags", "error",
+        "id", "state", "scene_name", "field", "encoder", "color", "params", "heads", "PSNR", "SSIM", "steps", "time",
+        "age", "tags", "error",
     ]  # fmt: skip
     assert all(len(line) == len(titles) for line in lines)
     rows = {line[0]: dict(zip(titles, line, strict=True)) for line in lines}
@@ -69,7 +69,7 @@ def test_further_columns(store, qnerf):
 
 def test_a_mistake_is_one_line(store, qnerf):
     for line, message in {
-        "lr>0.1": "no run has a column 'lr'; did you mean train.lr?",
+        "layers>1": "no run has a column 'layers'; did you mean ",
         "--sort quality": "no run has a column 'quality'",
         "--columns sed": "did you mean seed",
         "store=elsewhere": "store=elsewhere: the folder of runs is an option, --store elsewhere",

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -69,7 +70,7 @@ def main(options: argparse.Namespace) -> None:
             shown = table[table["index"] == 0] if "index" in table else table  # of a spectrum its largest eigenvalue
             print(shown.to_string(index=False, float_format="%.3g"))
     if conditions is not None:
-        evaluate_hardware(trained, conditions, **counts, tell=print)
+        evaluate_hardware(trained, conditions, **counts, tell=functools.partial(print, flush=True))
         print(f"rows in {trained.folder / FILE}")
 
 

@@ -15,6 +15,9 @@ from qnerf.cli.text import STATE_STYLES, age, as_json, console, count, duration,
 from qnerf.metrics import HEAD_PARAMETERS, METRICS
 from qnerf.records import filters, index
 from qnerf.records.printable import ELLIPSIS, printable
+from qnerf.records.schemas import is_option, is_own
+
+MOST_OWN = 3  # results of tracked runs that are shown unasked
 
 EPILOG = """filters (a run must match all of them):
   qcolor-hashC5              a part of the id
@@ -49,9 +52,15 @@ def main(options: argparse.Namespace) -> None:
     conditions = filters.parse(options.filters)
     if store := next((condition for condition in conditions if condition.key == "store"), None):
         raise ValueError(f"{store}: the folder of runs is an option, --store {','.join(store.values)}")
-    extra = [filters.column(name) for name in options.columns.split(",") if name]
-    sort = filters.column(options.sort)
-    everything = load(options.store, [*(condition.key for condition in conditions), sort, *extra], options.all_columns)
+    asked = [name for name in options.columns.split(",") if name]
+    keys = [*(condition.key for condition in conditions), options.sort, *asked]
+    everything = load(options.store, keys, options.all_columns)
+    extra: list[str] = []
+    sort: str = options.sort
+    if len(everything):
+        asked = [filters.check_column(name, everything.columns) for name in asked]
+        extra = list(dict.fromkeys([*own_results(everything), *asked]))
+        sort = filters.check_column(sort, everything.columns)
     frame = arrange(filters.select(everything, conditions), sort, options.reverse) if len(everything) else everything
     out = console()
     if options.json:
@@ -70,15 +79,31 @@ def main(options: argparse.Namespace) -> None:
 def load(store: str, further: Sequence[str] = (), all_columns: bool = False) -> pd.DataFrame:
     """The store's runs with the columns of the table and those in `further`, or with every column.
 
+    Runs that have no PSNR come with every column, of which `own_results` shows some.
+
     Raises:
         ValueError: no run has one of those in `further`; the message names similar ones. Or the store holds tables.
     """
     frame = index.load(store, None if all_columns else list(dict.fromkeys([*NEEDED, *further])))
     if not len(frame) and Path(store, "runs.parquet").is_file():
         raise ValueError(f"{store}: expected a folder of runs, got tables made by qnerf pack; qnerf tables reads them")
-    if len(frame) and (unknown := [name for name in further if name not in frame]):
-        filters.check_column(unknown[0], index.load(store).columns)
+    if len(frame) and (not has_psnr(frame) or any(name not in frame for name in further)):
+        frame = index.load(store)
+        for name in further:
+            filters.check_column(name, frame.columns)
     return frame
+
+
+def own_results(frame: pd.DataFrame) -> list[str]:
+    """The first results that only tracked runs have, where there is no PSNR."""
+    known = ("seed", *index.RUN_COLUMNS)
+    numbers = map(str, frame.select_dtypes("number"))
+    own = [name for name in numbers if is_own(name) and not is_option(name) and name not in known]
+    return [] if has_psnr(frame) else own[:MOST_OWN]
+
+
+def has_psnr(frame: pd.DataFrame) -> bool:
+    return bool("psnr" in frame and frame["psnr"].notna().any())
 
 
 def arrange(frame: pd.DataFrame, sort: str = "created", reverse: bool = False) -> pd.DataFrame:
@@ -164,7 +189,7 @@ def _heads(row: Row) -> str:
 COLUMNS = (
     Column("id", lambda row: row["run_id"], limit=255),
     Column("state", lambda row: row["state"], style=lambda row: STATE_STYLES.get(row["state"], "")),
-    Column("scene", _cell("scene_name"), rank=6),
+    Column("scene_name", lambda row: "-" if row.get("scene_name") == "none" else _cell("scene_name")(row), rank=6),
     Column("field", _cell("field"), rank=1),
     Column("encoder", _cell("encoder"), rank=8),
     Column("density", _cell("density"), rank=3),
