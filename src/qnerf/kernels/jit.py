@@ -181,11 +181,14 @@ def flat(tensor: torch.Tensor) -> np.ndarray:
     return array
 
 
-def _prepared(one: Any) -> Any:
-    """An argument of `run` as a loop takes it. Named tuples are for compiled code and hold arrays already."""
-    if isinstance(one, torch.Tensor):
-        return flat(one)
-    return tuple([_prepared(part) for part in one]) if type(one) is tuple else one
+def _flattened(arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Arguments of `run` as a loop takes them. Named tuples are for compiled code and hold arrays already."""
+    return tuple(
+        [
+            flat(one) if isinstance(one, torch.Tensor) else _flattened(one) if type(one) is tuple else one
+            for one in arguments
+        ]
+    )
 
 
 def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> None:
@@ -200,7 +203,7 @@ def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -
     The calling thread works too and waits only for parts that another thread has begun. It never needs a free thread,
     so kernels may run from any thread, even from inside another kernel's part.
     """
-    arguments = _prepared(arguments)
+    arguments = _flattened(arguments)
     count = loop_threads()
     pieces = 1 if count == 1 else min(items, count if grain is None else min(items // grain, 2 * count))
     if pieces <= 1:
