@@ -19,14 +19,14 @@ from qnerf.building.scene import prepare
 from qnerf.cli import compose
 from qnerf.cli.python import run as qnerf_run
 from qnerf.cli.training import train
-from qnerf.experiment import Display, run
+from qnerf.experiment import run
 from qnerf.records import read_config, read_metrics, read_status, runs, state
 from qnerf.training import forecast, lpips
 from qnerf.training.evaluation import Evaluator
 from qnerf.training.preview import Preview
 from qnerf.training.trainer import Diverged, Trainer
 from tests.helpers.scenes import write_scene
-from tests.helpers.stopping import interrupted
+from tests.helpers.stopping import StopsWhen, interrupted
 
 REQUIRED = [
     "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s",
@@ -74,7 +74,7 @@ def test_a_configuration_is_worked_out_once_and_a_stored_one_once_more(tiny, mon
     started = tiny(*overrides)
     monkeypatch.setattr(compose, "configuration", lambda _: started)
     steps = iter([False, False, True])
-    train(configuration.Configuration.of(started), overrides, Display(), lambda: next(steps))
+    train(configuration.Configuration.of(started), overrides, StopsWhen(lambda: next(steps)))
     assert len(calls) == 1
     assert qnerf_run(*overrides).state == "finished"
     assert len(calls) == 1 + 2
@@ -83,11 +83,11 @@ def test_a_configuration_is_worked_out_once_and_a_stored_one_once_more(tiny, mon
 def test_steps_that_are_left_to_the_scene_are_numbers_in_the_summary(tiny):
     """`train=large` is a recipe of its own; tables and lists compute with the number of steps."""
     config = tiny("train=large", "train.steps=auto", "hash=auto", "field=classical")
-    outcome = run(config, stopping=lambda: True)
+    outcome = run(config, display=StopsWhen(lambda: True))
     assert outcome.summary["train.steps"] == 3000
     assert read_config(outcome.path)["train"]["steps"] == 3000
     assert pd.read_parquet(outcome.path / "summary.parquet")["train.steps"].dtype == "int64"
-    again = run(config, stopping=lambda: True)
+    again = run(config, display=StopsWhen(lambda: True))
     assert (again.run_id, again.state) == (outcome.run_id, "interrupted")
 
 
@@ -161,7 +161,7 @@ def test_an_interrupted_run_has_a_preview_which_changes_no_number(tiny, tmp_path
     assert not (seldom.path / "preview.png").exists()
     always = tiny(*options, f"store={tmp_path / 'always'}", "run.preview_seconds=1e-9")
     steps = iter(range(100))
-    stopped = run(always, stopping=lambda: next(steps) > 2)
+    stopped = run(always, display=StopsWhen(lambda: next(steps) > 2))
     assert stopped.state == "interrupted"
     assert np.asarray(Image.open(stopped.path / "preview.png")).shape == (240, 4 * 320, 3)
     often = run(always)

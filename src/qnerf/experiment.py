@@ -49,7 +49,7 @@ class Outcome:
 
 
 class Display:
-    """Receives the progress of a run. This one is silent; the command line has one that prints."""
+    """Receives the progress of a run, and may stop it. This one is silent; the command line has one that prints."""
 
     def describe(self, config: Mapping[str, Any], parameters: Mapping[str, int]) -> None:
         """Before `begin`: the configuration that acts, and the number of parameters of each part of the model."""
@@ -69,24 +69,26 @@ class Display:
 
     def note(self, text: str) -> None: ...
 
+    def stopping(self) -> bool:
+        """Asked before every step. Once it is true, the run stops with a checkpoint, as on a signal."""
+        return False
+
+    def unpromising(self, path: Path, step: int, measured: Measures) -> bool:
+        """Asked after every evaluation but the last, with the run's folder and the means.
+
+        If it is true, the run is pruned: it stops with a checkpoint, its summary says so (`stopped`), and a search does
+        not continue it. Everybody else may.
+        """
+        return False
+
     def end(self) -> None: ...
-
-
-Unpromising = Callable[[Path, int, Measures], bool]
-"""Whether to give a run up, from its folder, the step and the means of its evaluation."""
-
-
-def never(path: Path, step: int, measured: Measures) -> bool:
-    return False
 
 
 def run(
     config: Mapping[str, Any] | Configuration | Prepared,
     overrides: Sequence[str] = (),
     display: Display | None = None,
-    stopping: Callable[[], bool] = lambda: False,
     name: str | None = None,
-    unpromising: Unpromising = never,
 ) -> Outcome:
     """Trains and evaluates the configuration, continues its interrupted run, or skips its finished one.
 
@@ -94,11 +96,7 @@ def run(
     needs none.
 
     config: the resolved tree, or what was made of it already.
-    stopping: called before every step. Once it is true, or on SIGINT, SIGTERM or SIGHUP, the run stops with a
-        checkpoint.
     name: id of an existing run; None: the configuration's.
-    unpromising: called after every evaluation but the last. If it is true, the run is pruned: it stops with a
-        checkpoint, its summary says so (`stopped`), and a search does not continue it. Everybody else may.
 
     Raises:
         ValueError: a mistake in the configuration or the scene, or more than `run.hours` by what circuits cost, and
@@ -110,19 +108,12 @@ def run(
     settings = prepared.settings
     name = name or prepared.find_id(settings.store)
     finished = not settings.run.force and state(Path(settings.store) / name) == "finished"
-    with devices.dealt("cpu" if finished else settings.device, display.note, stopping) as device:
+    with devices.dealt("cpu" if finished else settings.device, display.note, display.stopping) as device:
         prepared = replace(prepared, configuration=prepared.configuration.with_values({"device": device}))
-        return _run(prepared, name, overrides, display, stopping, unpromising)
+        return _run(prepared, name, overrides, display)
 
 
-def _run(
-    prepared: Prepared,
-    name: str,
-    overrides: Sequence[str],
-    display: Display,
-    stopping: Callable[[], bool],
-    unpromising: Unpromising,
-) -> Outcome:
+def _run(prepared: Prepared, name: str, overrides: Sequence[str], display: Display) -> Outcome:
     settings, task = prepared.settings, prepared.task
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
@@ -163,7 +154,7 @@ def _run(
         record.write_environment(capture(settings.seed), dirty_diff())
         if task.transform is not None:
             record.write_transform(task.transform.numpy())
-        training = _Training(task, record, display, lambda: bool(stops) or stopping(), unpromising)
+        training = _Training(task, record, display, lambda: bool(stops))
         return training.finish(aside)
 
 
@@ -194,11 +185,9 @@ def _compare(run: Path, configuration: Configuration, display: Display) -> None:
 class _Training:
     """A run from its last checkpoint, or from the start, to its results or to where it is stopped."""
 
-    def __init__(
-        self, task: Task, record: Run, display: Display, stopped: Callable[[], bool], unpromising: Unpromising
-    ) -> None:
+    def __init__(self, task: Task, record: Run, display: Display, stopped: Callable[[], bool]) -> None:
         self.task, self.settings = task, task.settings
-        self.record, self.display, self.stopped, self.unpromising = record, display, stopped, unpromising
+        self.record, self.display, self.stopped = record, display, stopped
         watch = Stopwatch(self.settings.torch_device, task.model, QuantumLayer)
         self.trainer, self.evaluator = task.trainer(watch), task.evaluator(watch)
         self.preview = Preview(self.settings.run.preview_seconds, self.evaluator.preview, record.save_preview)
@@ -289,7 +278,7 @@ class _Training:
             self.record.log(trainer.step, trainer.seconds, logged)
             on = f"{len(self.curve_views)} of {len(task.eval)} {task.held_out}" if task.held_out else ""
             self.display.held_out(trainer.step, task.headline, curve[task.headline], on)
-            self.pruned = not trainer.done and self.unpromising(self.record.dir, trainer.step, curve)
+            self.pruned = not trainer.done and self.display.unpromising(self.record.dir, trainer.step, curve)
         return result
 
     def evaluate(self, views: Sequence[int], rays: int | None = None) -> tuple[list[Measures], Measures | None]:
@@ -302,7 +291,7 @@ class _Training:
         return found
 
     def stopping(self) -> bool:
-        return self.pruned or self.stopped()
+        return self.pruned or self.stopped() or self.display.stopping()
 
     def is_due(self) -> bool:
         """Whether an evaluation is due after this step."""

@@ -1,12 +1,14 @@
 """`hydra/sweeper=qnerf_optuna` as a user meets it."""
 
+import re
+
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 pytest.importorskip("optuna", reason='needs pip install "qnerf[search]"')
 
 from qnerf.cli.search import values_of
-from qnerf.experiment import run
+from qnerf.experiment import Display, run
 from qnerf.records import read_summary, runs, state
 from qnerf.search.space import Choices, Interval
 
@@ -42,11 +44,12 @@ def test_a_pruned_run_is_interrupted_and_anybody_may_continue_it(tiny):
     config = tiny("train.steps=3", "train.eval_every=1", "train.eval_views=1")
     seen: list[int] = []
 
-    def unpromising(path, step, measured):
-        seen.append(step)
-        return step == 2
+    class GivesUp(Display):
+        def unpromising(self, path, step, measured):
+            seen.append(step)
+            return step == 2
 
-    outcome = run(config, unpromising=unpromising)
+    outcome = run(config, display=GivesUp())
     assert (outcome.state, state(outcome.path), outcome.summary["stopped"]) == ("pruned", "interrupted", "pruned")
     assert seen == [1, 2]
     assert outcome.message == "pruned at step 2 of 3: finished runs were better by then"
@@ -71,7 +74,7 @@ def test_a_search_of_more_than_run_hours_is_refused_after_its_first_trial(small,
     long = (*SEARCH, *small, "seed=0,1,2", "train.steps=1", "train.eval_every=0")
     done = qnerf("run", *long, "run.hours=1e-6")
     assert done.code != 0
-    assert "2 trials more: about 0 minutes; hydra.sweeper.n_trials takes fewer, or run.hours=1 goes on" in done.err
+    assert re.search(r"2 trials more: about \d+ minutes; hydra.sweeper.n_trials takes fewer, or run.hours=1 ", done.err)
     assert len(runs(tmp_path / "runs")) == 1
     assert qnerf("run", *long, "run.hours=1").code == 0
     assert len(runs(tmp_path / "runs")) == 3

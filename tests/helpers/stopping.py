@@ -20,6 +20,16 @@ class At(experiment.Display):
             self.action()
 
 
+class StopsWhen(experiment.Display):
+    """Stops once `condition` is true."""
+
+    def __init__(self, condition: Callable[[], bool]) -> None:
+        self.condition = condition
+
+    def stopping(self) -> bool:
+        return self.condition()
+
+
 def interrupted(config: dict[str, Any], step: int, error: BaseException | None = None) -> Path:
     """The run of a training that ends by an error, default: Ctrl-C, after this step and before it is saved."""
     error = error or KeyboardInterrupt()

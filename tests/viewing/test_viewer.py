@@ -24,6 +24,7 @@ from qnerf.viewing.painter import Painter
 from qnerf.viewing.viewer import Viewer, camera_of, quaternion, require_free, sharpen
 from tests.helpers.configs import TINY, composed
 from tests.helpers.scenes import write_scene
+from tests.helpers.stopping import StopsWhen
 
 DEADLINE = 60.0  # seconds, for a busy machine
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=900,700")
@@ -223,7 +224,7 @@ def test_a_run_that_trains_is_followed_in_a_browser(tmp_path, browse):
     options = ("train.steps=120", "train.rays=64", "train.eval_every=0", "device=cpu", "hash=C7")
     config = composed("scene=nerfstudio", f"scene.path={scene}", *TINY, *options, f"store={tmp_path / 'runs'}")
     steps = iter(range(2))
-    begun = run(config, stopping=lambda: next(steps, None) is None)
+    begun = run(config, display=StopsWhen(lambda: next(steps, None) is None))
     assert begun.state == "interrupted"
     viewer = Viewer(Renderer(load(begun.path, unfinished=True)), port=free_port(), width=64)
     try:

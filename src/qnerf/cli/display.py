@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,26 +10,34 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from qnerf.cli.commands.show import pair, results
+from qnerf.cli.ends import output_lost
 from qnerf.cli.text import duration, measured
-from qnerf.config.identity import flatten
 from qnerf.experiment import Display, Outcome
 from qnerf.metrics import metric_of
 from qnerf.records.printable import printable
+from qnerf.training.task import Measures
 
 BESIDE = 118  # characters beside a bar
-CHANGES = 20  # options that are named at the start, of those that differ from the defaults
 
 
 class LiveDisplay(Display):
     """What is trained, then a progress bar with phase, step, elapsed time, loss, PSNR, rate, the last held-out PSNR and
     time left; plain lines without a terminal.
 
-    defaults: the configuration when nothing but the scene is chosen; None: the start says nothing.
+    changed: what the user has typed that acts; None: the start says nothing.
+    judge: what a job of a search gives up by; None: it never does.
     """
 
-    def __init__(self, console: Console, live: bool = True, defaults: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        console: Console,
+        live: bool = True,
+        changed: Sequence[str] | None = None,
+        judge: Callable[[Path, int, Measures], bool] | None = None,
+    ) -> None:
         self.console = console
-        self.defaults = defaults
+        self.changed = changed
+        self.judge = judge
         self.progress = Progress(
             TextColumn("{task.fields[phase]}"),
             BarColumn(max(8, min(40, console.width - BESIDE))),
@@ -45,10 +53,16 @@ class LiveDisplay(Display):
         self.held_out_text = ""
 
     def describe(self, config: Mapping[str, Any], parameters: Mapping[str, int]) -> None:
-        """Prints the parts of the model with their parameters, and the options that differ from the defaults."""
-        if self.defaults is not None:
-            for name, text in described(config, parameters, self.defaults).items():
-                self.note(f"{name} {printable(text)}")
+        """Prints the parts of the model with their parameters, and what the user has typed."""
+        if self.changed is None:
+            return
+        for column, count in parameters.items():
+            part = column.removeprefix("params.")
+            if count and part != "total":
+                node = config.get(part)
+                name = f"{node['name']}, " if isinstance(node, Mapping) and "name" in node else ""
+                self.note(f"{part} {printable(name)}{count:,} parameters")
+        self.note(f"changed {printable(' '.join(self.changed) or 'nothing, all options are at their defaults')}")
 
     def begin(self, path: Path, step: int, steps: int) -> None:
         self.note(f"run {path}" + (f", resuming at step {step}" if step else ""))
@@ -90,27 +104,14 @@ class LiveDisplay(Display):
     def note(self, text: str) -> None:
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
+    def stopping(self) -> bool:
+        return output_lost()
+
+    def unpromising(self, path: Path, step: int, measured: Measures) -> bool:
+        return self.judge is not None and self.judge(path, step, measured)
+
     def end(self) -> None:
         self.progress.stop()
-
-
-def described(config: Mapping[str, Any], parameters: Mapping[str, int], defaults: Mapping[str, Any]) -> dict[str, str]:
-    """Title -> line: each part of the model that has parameters, and what differs from the defaults.
-
-    parameters: of each part, under its column in the summary.
-    """
-    lines = {}
-    for column, count in parameters.items():
-        part = column.removeprefix("params.")
-        if count and part != "total":
-            node = config.get(part)
-            name = f"{node['name']}, " if isinstance(node, Mapping) and "name" in node else ""
-            lines[part] = f"{name}{count:,} parameters"
-    usual, own = flatten(defaults), flatten(config)
-    changes = [f"{key}={value}" for key, value in own.items() if key not in usual or usual[key] != value]
-    more = f" and {len(changes) - CHANGES} more (--cfg job prints all)" if len(changes) > CHANGES else ""
-    text = f"{' '.join(changes[:CHANGES])}{more}" if changes else "nothing, all options are at their defaults"
-    return lines | {"changed": text}
 
 
 def print_outcome(console: Console, outcome: Outcome, brief: bool = False) -> None:

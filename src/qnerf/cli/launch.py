@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
@@ -89,10 +88,9 @@ def _train(composed: DictConfig, sweep: Sweep | None) -> None:
     elif sweep is not None:
         console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
     configuration = Configuration.of(config)
-    if sweep is None:  # a sweep has said so in its first line
-        note_without_effect(configuration, overrides)
-    display = LiveDisplay(console, config["run"]["progress"], _defaults(overrides) if sweep is None else None)
-    outcome = train(configuration, overrides, display, ends.output_lost, _judge(sweep, config["store"]))
+    changed = None if sweep else note_without_effect(configuration, overrides)  # a sweep has said so in its first line
+    display = LiveDisplay(console, config["run"]["progress"], changed, _judge(sweep, config["store"]))
+    outcome = train(configuration, overrides, display)
     print_outcome(console, outcome, brief=sweep is not None)
     if outcome.state == "busy" and sweep is not None:
         sweep.busy(own.job.num, overrides, outcome.path)
@@ -116,15 +114,6 @@ def _judge(sweep: Sweep | None, store: str) -> Any:
 
         return judge(sweep.folder, Path(store))
     return None
-
-
-def _defaults(overrides: list[str]) -> Any:
-    """The configuration when nothing but the scene is chosen; ??? stands for a missing value."""
-    chosen = [override for override in overrides if override.startswith("scene=")]
-    loaded = GlobalHydra.instance().config_loader().load_configuration("config", chosen, RunMode.RUN)
-    with open_dict(loaded):
-        del loaded["hydra"]
-    return OmegaConf.to_container(loaded, resolve=True)
 
 
 def show(composed: DictConfig) -> None:

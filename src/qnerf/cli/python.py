@@ -145,9 +145,7 @@ def run(*overrides: str) -> StoredRun:
         Diverged: the loss turned NaN or infinite.
     """
     config = Configuration.of(compose.configuration(_without_several_values(overrides)))
-    note_without_effect(config, overrides)
-    usual = compose.configuration([one for one in overrides if one.startswith(("scene=", "scene.path=", "plugins="))])
-    return _train(config, overrides, usual)
+    return _train(config, overrides, note_without_effect(config, overrides))
 
 
 def sweep(*overrides: str) -> list[StoredRun]:
@@ -207,8 +205,10 @@ def _without_several_values(overrides: Sequence[str]) -> Sequence[str]:
     return overrides
 
 
-def _train(config: Configuration, overrides: Sequence[str], usual: Any = None, brief: bool = False) -> StoredRun:
-    """usual: the configuration from which the start names what differs."""
+def _train(
+    config: Configuration, overrides: Sequence[str], changed: Sequence[str] | None = None, brief: bool = False
+) -> StoredRun:
+    """changed: as `LiveDisplay` takes it."""
     notebook = _in_notebook()
     progress = config["run.progress"]
     kind: Callable[..., LiveDisplay] = NotebookDisplay if notebook and progress else LiveDisplay
@@ -216,7 +216,7 @@ def _train(config: Configuration, overrides: Sequence[str], usual: Any = None, b
     with _turn, torch.random.fork_rng(devices=[]):
         threads = torch.get_num_threads()
         try:
-            outcome = train(config, overrides, kind(console, progress, usual))
+            outcome = train(config, overrides, kind(console, progress, changed))
         finally:
             torch.set_num_threads(threads)
     print_outcome(console, outcome, brief=brief or notebook)

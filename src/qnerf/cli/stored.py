@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import yaml  # type: ignore[import-untyped]
 
 from qnerf.cli import plugins
-from qnerf.cli.ends import output_lost
 from qnerf.cli.text import console
 from qnerf.config.plugins import check_plugins
 from qnerf.records import StoreError, read_config, read_summary
@@ -76,7 +75,7 @@ def run_stored(run: Path, configuration: "Configuration", name: str | None = Non
 
     prepared = _prepared(run, configuration)
     display = LiveDisplay(console(), live=configuration["run.progress"])
-    return experiment.run(prepared, (), display, output_lost, name=name)
+    return experiment.run(prepared, (), display, name)
 
 
 def load_stored(run: Path, overrides: Sequence[str] = (), *, unfinished: bool = True) -> "Trained":

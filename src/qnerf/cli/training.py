@@ -4,25 +4,19 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from qnerf import experiment
 from qnerf.building.configuration import Configuration
 from qnerf.building.scene import prepare
 from qnerf.cli.sweep import RETRY
-from qnerf.experiment import Display, Outcome, Unpromising, never
+from qnerf.experiment import Display, Outcome
 
 PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT of `qnerf.records.owner`
 
 
-def train(
-    config: Mapping[str, Any] | Configuration,
-    overrides: Sequence[str],
-    display: Display,
-    stopping: Callable[[], bool] = lambda: False,
-    unpromising: Unpromising | None = None,
-) -> Outcome:
+def train(config: Mapping[str, Any] | Configuration, overrides: Sequence[str], display: Display) -> Outcome:
     """`qnerf.experiment.run` with what a job of Slurm needs: its threads, and patience after a restart."""
     configuration = Configuration.of(config)
     if configuration["threads"] is None:
@@ -30,7 +24,7 @@ def train(
     prepared = prepare(configuration)
 
     def attempt() -> Outcome:
-        return experiment.run(prepared, overrides, display, stopping, unpromising=unpromising or never)
+        return experiment.run(prepared, overrides, display)
 
     outcome = attempt()
     # Slurm restarts a job whose node died. The dead job owns the run until its last heartbeat is old enough.
@@ -42,10 +36,12 @@ def train(
     return outcome
 
 
-def note_without_effect(configuration: Configuration, overrides: Sequence[str]) -> None:
-    """Names the options that the user typed and that change nothing."""
-    if names := configuration.without_effect(overrides):
-        print(f"note: no effect with the chosen components: {', '.join(names)}", file=sys.stderr)
+def note_without_effect(configuration: Configuration, overrides: Sequence[str]) -> list[str]:
+    """Names the options that the user typed and that change nothing; returns the others."""
+    vain = configuration.without_effect(overrides)
+    if vain:
+        print(f"note: no effect with the chosen components: {', '.join(vain)}", file=sys.stderr)
+    return [override for override in overrides if override not in vain]
 
 
 def _threads_of_slurm() -> int | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from math import inf
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -27,7 +28,7 @@ def clamped(x: Tensor, low: float = -inf, high: float = inf) -> Tensor:
 
 def through_reference(
     reference: Callable[..., Tensor | tuple[Tensor, ...]],
-    inputs: Sequence[Tensor],
+    inputs: Sequence[Any],
     upstream: Tensor | tuple[Tensor, ...],
 ) -> list[Tensor | None]:
     """Gradients of `reference(*inputs)` that can be differentiated again; None for inputs that need none.
@@ -35,11 +36,13 @@ def through_reference(
     A compiled backward pass is a constant to autograd. Second derivatives through it would be wrong.
     """
     with torch.enable_grad():
-        own = [tensor.view_as(tensor) for tensor in inputs]  # one of the inputs may be made of another one
-        needed = [tensor for tensor in own if tensor.requires_grad]
+        # One of the inputs may be made of another one.
+        own = [one.view_as(one) if isinstance(one, Tensor) else one for one in inputs]
+        needs = [isinstance(one, Tensor) and one.requires_grad for one in own]
+        needed = [one for one, needs_one in zip(own, needs, strict=True) if needs_one]
         out = reference(*own)
         if torch.is_tensor(out) and not out.requires_grad:  # it depends on none of them
             return [None] * len(own)
         gradients = torch.autograd.grad(out, needed, upstream, create_graph=True, allow_unused=True)
     found = iter(gradients)
-    return [next(found) if tensor.requires_grad else None for tensor in inputs]
+    return [next(found) if needs_one else None for needs_one in needs]

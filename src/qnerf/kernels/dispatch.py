@@ -48,7 +48,6 @@ LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
     "spherical harmonics": {},
     "interlevel loss": {},
     "distortion loss": {},
-    "Adam": {},
     "circuits": {},
 }
 """Every compiled loop, in the order of a step, with the classes that it stands for and the options that it knows."""

@@ -15,8 +15,6 @@ import torch
 from torch import Tensor
 
 from qnerf.kernels import mlp
-from qnerf.kernels.derivatives import is_differentiated, through_reference
-from qnerf.kernels.dispatch import serves
 from qnerf.kernels.hashgrid import (
     BLOCK,
     U,
@@ -27,6 +25,7 @@ from qnerf.kernels.hashgrid import (
     table_gradient,
 )
 from qnerf.kernels.jit import jit, run
+from qnerf.kernels.loop import Loop
 from qnerf.kernels.mlp import PART, Layer, layers_of
 from qnerf.kernels.simd import inner
 
@@ -61,12 +60,9 @@ def grid_mlp(points: Tensor, inside: Tensor | None, grid: Grid, layers: Sequence
     mlp.check_layers(levels * features, layers)
     if inside is not None and (inside.shape != points.shape[:1] or inside.dtype != torch.bool):
         raise ValueError(f"grid_mlp: inside must be bool ({len(points)},), got {inside.dtype} {tuple(inside.shape)}")
-    parameters = (grid.table, *(tensor for layer in layers for tensor in layer))
-    if serves("hash grid + MLP", points, *parameters):
-        keeps = torch.is_grad_enabled() and any(parameter.requires_grad for parameter in parameters)
-        values: Tensor = _GridMLP.apply(keeps, points, inside, grid.resolutions, grid.dense, *parameters)
-        return values
-    return grid_mlp_reference(points, inside, grid, layers)
+    parameters = (tensor for layer in layers for tensor in layer)
+    values: Tensor = _GRID_MLP(points, inside, grid.resolutions, grid.dense, grid.table, *parameters)
+    return values
 
 
 def grid_mlp_reference(points: Tensor, inside: Tensor | None, grid: Grid, layers: Sequence[Layer]) -> Tensor:
@@ -84,48 +80,47 @@ def _outside(values: Tensor) -> Tensor:
     return row
 
 
-class _GridMLP(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        keeps: bool,
-        points: Tensor,
-        inside: Tensor | None,
-        resolutions: Tensor,
-        dense: bool,
-        table: Tensor,
-        *parameters: Tensor,
-    ) -> Tensor:
-        weights, widths = mlp.packed(parameters)
-        blocks = -(-len(points) // BLOCK)
-        encoded = np.empty((keeps * blocks, BLOCK * int(widths[0])), weights.dtype)
-        number_of, counts = np.empty((keeps * blocks, BLOCK), np.int32), np.empty(keeps * blocks, np.int32)
-        values = points.new_empty(len(points), int(widths[-1]))
-        where = np.ones(0, np.bool_) if inside is None else inside
-        network = (table, resolutions, dense, table.shape[2], weights, widths)
-        run(network_values, blocks, points, where, *network, encoded, number_of, counts, values, grain=PART)
-        if keeps:
-            ctx.save_for_backward(points, inside, resolutions, table, *parameters)
-            ctx.dense, ctx.kept = dense, (weights, widths, encoded.reshape(-1), number_of, counts)
-        return values
+def _forward(
+    keeps: bool,
+    points: Tensor,
+    inside: Tensor | None,
+    resolutions: Tensor,
+    dense: bool,
+    table: Tensor,
+    *parameters: Tensor,
+) -> tuple[Tensor, tuple[np.ndarray, ...]]:
+    weights, widths = mlp.packed(parameters)
+    blocks = -(-len(points) // BLOCK)
+    encoded = np.empty((keeps * blocks, BLOCK * int(widths[0])), weights.dtype)
+    number_of, counts = np.empty((keeps * blocks, BLOCK), np.int32), np.empty(keeps * blocks, np.int32)
+    values = points.new_empty(len(points), int(widths[-1]))
+    where = np.ones(0, np.bool_) if inside is None else inside
+    grid, kept = (table, resolutions, dense, table.shape[2]), (encoded, number_of, counts)
+    run(network_values, blocks, points, where, grid, (weights, widths), kept, values, grain=PART)
+    return values, (weights, widths, encoded.reshape(-1), number_of, counts)
 
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        points, inside, resolutions, table, *parameters = ctx.saved_tensors
-        if is_differentiated(upstream):
 
-            def reference(table: Tensor, *parameters: Tensor) -> Tensor:
-                return grid_mlp_reference(points, inside, Grid(table, resolutions, ctx.dense), layers_of(parameters))
+def _backward(
+    needs: Sequence[bool], inputs: Sequence[Any], kept: Sequence[np.ndarray], upstream: Tensor
+) -> tuple[Tensor | None, ...]:
+    points, _, resolutions, dense, table, *parameters = inputs
+    weights, widths, encoded, *of_blocks = kept
+    to_encoded, to_table = np.empty_like(encoded), empty_like(table)
+    sums = np.empty((-(-len(points) // (PART * BLOCK)), len(weights)), weights.dtype)
+    arrays = (encoded, weights[:0], weights, widths, *of_blocks)
+    run(mlp.gradients, len(sums), *arrays, to_encoded, sums, upstream, grain=1)
+    grid = (resolutions, dense, table.shape[2])
+    run(table_gradient, len(table), points, *of_blocks, to_encoded, *grid, to_table, grain=1)
+    return None, None, None, None, to_table, *mlp.unpacked(sums.sum(0), parameters)
 
-            return *[None] * 5, *through_reference(reference, (table, *parameters), upstream)
-        weights, widths, encoded, *of_blocks = ctx.kept
-        to_encoded, to_table = np.empty_like(encoded), empty_like(table)
-        sums = np.empty((-(-len(points) // (PART * BLOCK)), len(weights)), weights.dtype)
-        kept = (encoded, weights[:0], weights, widths, *of_blocks)
-        run(mlp.gradients, len(sums), *kept, to_encoded, sums, upstream, grain=1)
-        grid = (resolutions, ctx.dense, table.shape[2])
-        run(table_gradient, len(table), points, *of_blocks, to_encoded, *grid, to_table, grain=1)
-        return *[None] * 5, to_table, *mlp.unpacked(sums.sum(0), parameters)
+
+def _reference(
+    points: Tensor, inside: Tensor | None, resolutions: Tensor, dense: bool, table: Tensor, *parameters: Tensor
+) -> Tensor:
+    return grid_mlp_reference(points, inside, Grid(table, resolutions, dense), layers_of(parameters))
+
+
+_GRID_MLP = Loop("hash grid + MLP", _reference, _forward, _backward)
 
 
 @inner
@@ -143,11 +138,11 @@ def _gather(points, inside, first, last, numbers, local):  # type: ignore[no-unt
 
 
 @jit
-def network_values(  # type: ignore[no-untyped-def]
-    start, stop, points, inside, table, resolutions, dense, features, weights, widths, kept_features, number_of, kept,
-    values,
-):  # fmt: skip
+def network_values(start, stop, points, inside, grid, layers, backward, values):  # type: ignore[no-untyped-def]
     """Writes the values of blocks start..stop and, unless `kept` is empty, what the backward pass needs."""
+    table, resolutions, dense, features = grid
+    weights, widths = layers
+    kept_features, number_of, kept = backward
     zero = points.dtype.type(0)
     width, outputs, b = U(widths[0]), U(widths[-1]), U(BLOCK)
     local = np.empty(3 * BLOCK, points.dtype)

@@ -15,7 +15,7 @@ Points outside [0, 1] are moved to the nearest face, and their gradient across i
 the cell above it, at 1 to the last cell. A NaN coordinate gives NaN features.
 """
 
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,10 @@ import torch
 from numba import extending, types
 from torch import Tensor
 
-from qnerf.kernels.derivatives import clamped, is_differentiated, through_reference
-from qnerf.kernels.dispatch import is_transformed, serves
+from qnerf.kernels.derivatives import clamped
+from qnerf.kernels.dispatch import is_transformed
 from qnerf.kernels.jit import flat, jit, run
+from qnerf.kernels.loop import Loop
 from qnerf.kernels.simd import (
     VECTOR_BYTES,
     fused,
@@ -72,10 +73,8 @@ def hash_encode(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool 
         ValueError: shapes, dtypes or resolutions do not fit.
     """
     check(points, table, resolutions)
-    if serves("hash grid", points, table):
-        encoded: Tensor = _HashEncode.apply(points, table, resolutions, dense)
-        return encoded
-    return hash_encode_reference(points, table, resolutions, dense)
+    encoded: Tensor = _ENCODE(points, table, resolutions, dense)
+    return encoded
 
 
 def hash_encode_reference(points: Tensor, table: Tensor, resolutions: Tensor, dense: bool = True) -> Tensor:
@@ -121,32 +120,30 @@ def check(points: Tensor, table: Tensor, resolutions: Tensor) -> None:
             raise ValueError(f"hash grid: resolutions must be 1 to {FINEST}, got {cells.tolist()}")
 
 
-class _HashEncode(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, points: Tensor, table: Tensor, resolutions: Tensor, dense: bool) -> Tensor:
-        levels, _, features = table.shape
-        out = points.new_empty(points.shape[0], levels * features)
-        run(_forward, len(points), points, table, resolutions, dense, features, out, grain=GRAIN)
-        ctx.save_for_backward(points, table, resolutions)
-        ctx.dense = dense
-        return out
+def _encode(keeps: bool, points: Tensor, table: Tensor, resolutions: Tensor, dense: bool) -> tuple[Tensor, tuple[()]]:
+    levels, _, features = table.shape
+    out = points.new_empty(points.shape[0], levels * features)
+    run(_forward, len(points), points, table, resolutions, dense, features, out, grain=GRAIN)
+    return out, ()
 
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        points, table, resolutions = ctx.saved_tensors
-        if is_differentiated(gradient):
-            reference = partial(hash_encode_reference, resolutions=resolutions, dense=ctx.dense)
-            return *through_reference(reference, (points, table), gradient), None, None
-        levels, _, features = table.shape
-        common = (gradient, resolutions, ctx.dense, features)
-        to_points = to_table = None
-        if ctx.needs_input_grad[1]:
-            to_table = empty_like(table)  # each level is zeroed by the thread that owns it
-            run(table_gradient, levels, points, *ALL_POINTS, *common, to_table, grain=1)
-        if ctx.needs_input_grad[0]:
-            to_points = torch.empty(points.shape, dtype=points.dtype)
-            run(_points_gradient, len(points), points, *common, table, to_points, grain=GRAIN)
-        return to_points, to_table, None, None
+
+def _encode_gradient(
+    needs: Sequence[bool], inputs: Sequence[Any], kept: Sequence[Any], gradient: Tensor
+) -> tuple[Tensor | None, Tensor | None]:
+    points, table, resolutions, dense = inputs
+    levels, _, features = table.shape
+    common = (gradient, resolutions, dense, features)
+    to_points = to_table = None
+    if needs[1]:
+        to_table = empty_like(table)  # each level is zeroed by the thread that owns it
+        run(table_gradient, levels, points, *ALL_POINTS, *common, to_table, grain=1)
+    if needs[0]:
+        to_points = torch.empty(points.shape, dtype=points.dtype)
+        run(_points_gradient, len(points), points, *common, table, to_points, grain=GRAIN)
+    return to_points, to_table
+
+
+_ENCODE = Loop("hash grid", hash_encode_reference, _encode, _encode_gradient)
 
 
 def empty_like(tensor: Tensor) -> Tensor:

@@ -5,14 +5,13 @@ Each goes along a ray once and sums in float64. The plain PyTorch references are
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import jit, run
+from qnerf.kernels.loop import Loop
 
 EPS = 1e-7  # of the interlevel loss, against division by 0
 _GRAIN = 50_000  # weights that are worth waking a thread for
@@ -146,27 +145,12 @@ def distortion(w: Tensor, s: Tensor, losses: np.ndarray, gradient: Tensor) -> No
     run(_distortion, len(w), _array(s), _array(w), losses, gradient.numpy(), grain=_grain(w))
 
 
-class Regulariser(torch.autograd.Function):
-    """The sum over rays of `interlevel` or `distortion`, differentiated by the first tensor, which is the weights.
+def regulariser(name: str, reference: Callable[..., Tensor], loop: Callable[..., None]) -> Loop:
+    """The sum over rays of `interlevel` or `distortion`, differentiated by the first tensor, which is the weights."""
 
-    Args:
-        loop: one of the two.
-        reference: the same function of all tensors in plain PyTorch, for second derivatives.
-    """
+    def forward(keeps: bool, weights: Tensor, *others: Tensor) -> tuple[Tensor, tuple[Tensor]]:
+        losses, gradient = np.empty(len(weights)), torch.empty_like(weights, memory_format=torch.contiguous_format)
+        loop(weights, *others, losses, gradient)
+        return torch.tensor(losses.sum(), dtype=weights.dtype), (gradient,)
 
-    @staticmethod
-    def forward(
-        ctx: Any, loop: Callable[..., None], reference: Callable[..., Tensor], weights: Tensor, *others: Tensor
-    ) -> Tensor:
-        losses, grad = np.empty(len(weights)), torch.empty_like(weights, memory_format=torch.contiguous_format)
-        loop(weights, *others, losses, grad)
-        ctx.save_for_backward(grad, weights, *others)
-        ctx.reference = reference
-        return torch.tensor(losses.sum(), dtype=weights.dtype)
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        grad, *inputs = ctx.saved_tensors
-        if is_differentiated(upstream):
-            return None, None, *through_reference(ctx.reference, inputs, upstream)
-        return None, None, upstream * grad, *[None] * (len(inputs) - 1)
+    return Loop(name, reference, forward, lambda needs, inputs, kept, upstream: (upstream * kept[0],))

@@ -181,10 +181,20 @@ def flat(tensor: torch.Tensor) -> np.ndarray:
     return array
 
 
+def _flattened(arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Arguments of `run` as a loop takes them. Named tuples are for compiled code and hold arrays already."""
+    return tuple(
+        [
+            flat(one) if isinstance(one, torch.Tensor) else _flattened(one) if type(one) is tuple else one
+            for one in arguments
+        ]
+    )
+
+
 def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -> None:
     """Calls `kernel(start, stop, *arguments)` over range(items), on as many threads as PyTorch uses.
 
-    Tensors become flat arrays: of the same memory if they are contiguous, else of a copy.
+    Tensors, also those in tuples, become flat arrays: of the same memory if they are contiguous, else of a copy.
 
     A thread takes about `grain` items at a time or more; by default each takes an equal share. Pass it where items cost
     different amounts, or where few items are not worth waking a thread for. There are at most two parts for a thread:
@@ -193,7 +203,7 @@ def run(kernel: Kernel, items: int, *arguments: Any, grain: int | None = None) -
     The calling thread works too and waits only for parts that another thread has begun. It never needs a free thread,
     so kernels may run from any thread, even from inside another kernel's part.
     """
-    arguments = tuple([flat(one) if isinstance(one, torch.Tensor) else one for one in arguments])
+    arguments = _flattened(arguments)
     count = loop_threads()
     pieces = 1 if count == 1 else min(items, count if grain is None else min(items // grain, 2 * count))
     if pieces <= 1:

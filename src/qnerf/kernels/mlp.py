@@ -9,17 +9,16 @@ on the number of threads.
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import linear
 
-from qnerf.kernels.derivatives import is_differentiated, through_reference
-from qnerf.kernels.dispatch import serves
 from qnerf.kernels.hashgrid import ALL_POINTS, BLOCK, U
 from qnerf.kernels.jit import flat, jit, run
+from qnerf.kernels.loop import Loop
 from qnerf.kernels.simd import (
     AVX512,
     VECTOR_BYTES,
@@ -53,12 +52,8 @@ def mlp(rows: Tensor, layers: Sequence[Layer]) -> Tensor:
     if rows.ndim != 2:
         raise ValueError(f"MLP: rows (N, D) expected, got the shape {tuple(rows.shape)}")
     check_layers(rows.shape[1], layers)
-    parameters = [tensor for layer in layers for tensor in layer]
-    if serves("MLP", rows, *parameters):
-        keeps = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (rows, *parameters))
-        values: Tensor = _MLP.apply(keeps, rows, *parameters)
-        return values
-    return mlp_reference(rows, layers)
+    values: Tensor = _MLP(rows, *(tensor for layer in layers for tensor in layer))
+    return values
 
 
 def mlp_reference(rows: Tensor, layers: Sequence[Layer]) -> Tensor:
@@ -82,34 +77,27 @@ def layers_of(parameters: Sequence[Tensor]) -> list[Layer]:
     return [Layer(*parameters[i : i + 2]) for i in range(0, len(parameters), 2)]
 
 
-class _MLP(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, keeps: bool, rows: Tensor, *parameters: Tensor) -> Tensor:
-        weights, widths = packed(parameters)
-        blocks = -(-len(rows) // BLOCK)
-        units = np.empty(keeps * blocks * BLOCK * int(widths[1:].sum()), weights.dtype)
-        values = rows.new_empty(len(rows), int(widths[-1]))
-        run(_values, blocks, rows, weights, widths, units, values, grain=PART)
-        if keeps:
-            ctx.save_for_backward(rows, *parameters)
-            ctx.kept = weights, widths, units
-        return values
+def _forward(keeps: bool, rows: Tensor, *parameters: Tensor) -> tuple[Tensor, tuple[np.ndarray, ...]]:
+    weights, widths = packed(parameters)
+    blocks = -(-len(rows) // BLOCK)
+    units = np.empty(keeps * blocks * BLOCK * int(widths[1:].sum()), weights.dtype)
+    values = rows.new_empty(len(rows), int(widths[-1]))
+    run(_values, blocks, rows, weights, widths, units, values, grain=PART)
+    return values, (weights, widths, units)
 
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        rows, *parameters = ctx.saved_tensors
-        if is_differentiated(upstream):
 
-            def reference(rows: Tensor, *parameters: Tensor) -> Tensor:
-                return mlp_reference(rows, layers_of(parameters))
+def _backward(
+    needs: Sequence[bool], inputs: Sequence[Tensor], kept: Sequence[np.ndarray], upstream: Tensor
+) -> tuple[Tensor | None, ...]:
+    (rows, *parameters), (weights, widths, units) = inputs, kept
+    to_rows = torch.empty_like(rows, memory_format=torch.contiguous_format) if needs[0] else None
+    sums = np.empty((-(-len(rows) // (PART * BLOCK)), len(weights)), weights.dtype)
+    written = (weights[:0] if to_rows is None else to_rows, sums)
+    run(gradients, len(sums), rows, units, weights, widths, *ALL_POINTS, *written, upstream, grain=1)
+    return to_rows, *unpacked(sums.sum(0), parameters)
 
-            return None, *through_reference(reference, (rows, *parameters), upstream)
-        weights, widths, units = ctx.kept
-        to_rows = torch.empty_like(rows, memory_format=torch.contiguous_format) if ctx.needs_input_grad[1] else None
-        sums = np.empty((-(-len(rows) // (PART * BLOCK)), len(weights)), weights.dtype)
-        written = (weights[:0] if to_rows is None else to_rows, sums)
-        run(gradients, len(sums), rows, units, weights, widths, *ALL_POINTS, *written, upstream, grain=1)
-        return None, to_rows, *unpacked(sums.sum(0), parameters)
+
+_MLP = Loop("MLP", lambda rows, *parameters: mlp_reference(rows, layers_of(parameters)), _forward, _backward)
 
 
 def packed(parameters: Sequence[Tensor]) -> tuple[np.ndarray, np.ndarray]:

@@ -29,14 +29,16 @@ def places(
     unit = edges.new_empty(rays, count, 3)
     inside = torch.empty(rays, 0 if mask is None else count, dtype=torch.bool)
     grid, cells = (inside, 0) if mask is None else (mask, mask.shape[0])
-    arrays = (origins, directions, edges, count, contraction, half_extent, grid, cells, unit, inside)
-    run(place, rays, *arrays, grain=GRAIN)
+    space = (contraction, half_extent, grid, cells)
+    run(place, rays, (origins, directions, edges, count), space, unit, inside, grain=GRAIN)
     return unit, None if mask is None else inside
 
 
 @jit
-def place(start, stop, origins, directions, edges, count, contraction, half_extent, grid, cells, unit, inside):  # type: ignore[no-untyped-def]
+def place(start, stop, rays, space, unit, inside):  # type: ignore[no-untyped-def]
     """Writes the points of rays start..stop."""
+    origins, directions, edges, count = rays
+    contraction, half_extent, grid, cells = space
     number = edges.dtype.type
     one, two, half, quarter = number(1), number(2), number(0.5), number(0.25)
     largest = number(np.finfo(edges.dtype).max / 4)

@@ -69,16 +69,20 @@ def propose(
     inside = torch.empty(0 if space.mask is None else rays * count, dtype=torch.bool)
     cells, side = (inside, 0) if space.mask is None else (space.mask, space.mask.shape[0])
     group, spacing = _group(count), KNOWN_SPACINGS.index(space.spacing)
+    jitter = np.full(rays, 0.5, s.numpy().dtype) if draws.jitter is None else draws.jitter
     packed_layers = packed([tensor for layer in layers for tensor in layer])
     run(
         _propose,
         -(-rays // group),
-        *(group, space.origins, space.directions, space.near, space.far, spacing),
-        *(space.contraction, space.half_extent, cells, side, s, s.numpy()),
-        *(table, resolutions, dense, table.shape[2], *packed_layers),
-        np.full(rays, 0.5, s.numpy().dtype) if draws.jitter is None else draws.jitter,
-        *(draws.padding, draws.min_total, t, weights.numpy(), drawn.numpy()),
-        *(inside, unit, density, delta, after, annealed, exponent),
+        group,
+        (space.origins, space.directions, space.near, space.far, spacing),
+        (space.contraction, space.half_extent, cells, side),
+        (s, s.numpy()),
+        (table, resolutions, dense, table.shape[2]),
+        packed_layers,
+        (jitter, draws.padding, draws.min_total, exponent),
+        (t, weights.numpy(), drawn.numpy()),
+        (inside, unit, density, delta, after, annealed),
         grain=1,
     )
     return t, weights, drawn
@@ -132,31 +136,31 @@ def to_world(start, stop, spacing, near, far, s, t):  # type: ignore[no-untyped-
 
 
 @jit
-def _propose(  # type: ignore[no-untyped-def]
-    start, stop, group, origins, directions, near, far, spacing, contraction, half_extent, cells, side, s, s_rows,
-    table, resolutions, dense, features, layers, widths, jitter, padding, min_total, t, weights, drawn, inside, unit,
-    density, delta, after, annealed, exponent,
-):  # fmt: skip
-    number = s.dtype.type
-    rays, count = weights.shape
+def _propose(start, stop, group, rays, space, s, grid, layers, draws, written, work):  # type: ignore[no-untyped-def]
+    """Proposes for the groups start..stop of rays."""
+    origins, directions, near, far, spacing = rays
+    flat_s, s_rows = s
+    jitter, padding, min_total, exponent = draws
+    edges, weights, drawn = written
+    inside, unit, density, delta, after, annealed = work
+    number = flat_s.dtype.type
+    all_rays, count = weights.shape
     block = np.int64(BLOCK)
-    edges, shares, power = t, weights.reshape(-1), number(exponent)
+    shares, power = weights.reshape(-1), number(exponent)
     n = U(count)
     # Nothing is kept of the network's values for a backward pass.
-    kept_features, number_of = np.empty((1, 0), s.dtype), np.empty((1, 0), np.int32)
-    powers = annealed.reshape(rays, count)
+    number_of = np.empty((1, 0), np.int32)
+    nothing = np.empty((1, 0), flat_s.dtype), number_of, number_of[0]
+    powers = annealed.reshape(all_rays, count)
     for each in range(start, stop):
         first = each * group
-        last = min(first + group, rays)
+        last = min(first + group, all_rays)
         # Edges in world units, and the midpoints in the unit cube.
-        to_world(first, last, spacing, near, far, s, edges)
-        place(first, last, origins, directions, edges, count, contraction, half_extent, cells, side, unit, inside)
+        to_world(first, last, spacing, near, far, flat_s, edges)
+        place(first, last, (origins, directions, edges, count), space, unit, inside)
         # The network's raw values: a group of rays is whole blocks of points.
         blocks = first * count // block, (last * count + block - 1) // block
-        network_values(
-            blocks[0], blocks[1], unit, inside, table, resolutions, dense, features, layers, widths,
-            kept_features, number_of, number_of[0], density,
-        )  # fmt: skip
+        network_values(blocks[0], blocks[1], unit, inside, grid, layers, nothing, density)
         for ray in range(U(first), U(last)):
             for k in range(n):
                 i, e = ray * n + k, ray * (n + U(1)) + k

@@ -4,23 +4,24 @@ The plain PyTorch reference is in `qnerf.rendering.shading.shade`: the density's
 `color_shares` and the shading, one after the other.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from qnerf.kernels import transmittance
-from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.exponentials import exp
 from qnerf.kernels.hashgrid import U
 from qnerf.kernels.jit import jit, run
+from qnerf.kernels.loop import Loop
 
 GRAIN = 256  # rays that are worth waking a thread for
 KNOWN_ACTIVATIONS = ("trunc_exp", "softplus")  # of the raw density, by their numbers in `_density`
 LEAST, LARGEST = np.exp(-15.0), np.exp(15.0)  # of trunc_exp's derivative
 STEEP = 40.0  # from here on softplus(x) is x
+Reference: TypeAlias = Callable[[Tensor], tuple[Tensor, ...]]  # raw values -> the same in plain PyTorch
 
 
 class Options(NamedTuple):
@@ -33,45 +34,34 @@ class Options(NamedTuple):
     floor: float  # the smallest share of a part by which the derivative of its mean is divided
 
 
-class Shade(torch.autograd.Function):
-    """Raw values (R, K, 1 + G) -> weights (R, K), shares (R, M) of the colours, and their geometry (R, M, G).
+def _forward(
+    keeps: bool, raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, reference: Reference
+) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    rays, count, outputs = raw.shape
+    parts, new = options.parts or count, raw.new_empty
+    weights, after, samples, density = new(4, rays, count).unbind()
+    shares, mean = new(rays, parts), new(rays, parts, outputs - 1)
+    part = torch.empty(rays, count if options.parts else 0, dtype=torch.int32)  # that each sample belongs to
+    kept = (after, weights, samples, part, shares, mean)
+    run(_shade, rays, _numbers(raw, options), raw, _where(inside), delta, density, kept, grain=GRAIN)
+    return (weights, shares, mean), kept
 
-    Args:
-        inside: (R, K) bool, where density may be; None: everywhere.
-        delta: (R, K) lengths of the intervals.
-        reference: raw -> the same in plain PyTorch, for second derivatives.
-    """
 
-    @staticmethod
-    def forward(
-        ctx: Any, raw: Tensor, inside: Tensor | None, delta: Tensor, options: Options, reference: Callable[..., Any]
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        rays, count, outputs = raw.shape
-        parts, new = options.parts or count, raw.new_empty
-        weights, after, samples, density = new(4, rays, count).unbind()
-        shares, mean = new(rays, parts), new(rays, parts, outputs - 1)
-        part = torch.empty(rays, count if options.parts else 0, dtype=torch.int32)  # that each sample belongs to
-        kept = (after, weights, samples, part, shares, mean)
-        run(_shade, rays, *_numbers(raw, options), raw, _where(inside), delta, density, *kept, grain=GRAIN)
-        ctx.save_for_backward(raw, inside, delta, *kept)
-        ctx.options, ctx.reference = options, reference
-        ctx.set_materialize_grads(False)
-        return weights, shares, mean
+def _backward(needs: Sequence[bool], inputs: Sequence[Any], kept: Sequence[Tensor], *upstream: Tensor) -> tuple[Tensor]:
+    raw, inside, delta, options, _ = inputs
+    to_raw = torch.empty(raw.shape, dtype=raw.dtype)
+    work = raw.new_empty(2, *delta.shape).unbind()
+    arrays = (raw, _where(inside), delta, tuple(kept), upstream, work, to_raw)
+    run(_shade_gradient, len(raw), _numbers(raw, options), options.floor, *arrays, grain=GRAIN)
+    return (to_raw,)
 
-    @staticmethod
-    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
-        raw, inside, delta, *kept = ctx.saved_tensors
-        _, weights, _, _, shares, mean = kept
-        outputs = (weights, shares, mean)
-        given = [torch.zeros_like(o) if u is None else u for o, u in zip(outputs, upstream, strict=True)]
-        if is_differentiated(*given):
-            return *through_reference(ctx.reference, (raw,), tuple(given)), None, None, None, None
-        to_raw = torch.empty(raw.shape, dtype=raw.dtype)
-        scratch = raw.new_empty(2, *weights.shape)
-        numbers = (*_numbers(raw, ctx.options), ctx.options.floor)
-        arrays = (raw, _where(inside), delta, *kept, *given, *scratch, to_raw)
-        run(_shade_gradient, len(raw), *numbers, *arrays, grain=GRAIN)
-        return to_raw, None, None, None, None
+
+SHADE = Loop("shading", lambda raw, inside, delta, options, reference: reference(raw), _forward, _backward)
+"""Raw values (R, K, 1 + G) -> weights (R, K), shares (R, M) of the colours, and their geometry (R, M, G).
+
+Its inputs are the raw values; where density may be, (R, K) bool, None for everywhere; lengths of the intervals (R, K);
+`Options`; and a `Reference`.
+"""
 
 
 def _where(inside: Tensor | None) -> Tensor | np.ndarray:
@@ -112,11 +102,10 @@ def _slope(x, activation):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _shade(  # type: ignore[no-untyped-def]
-    start, stop, count, activation, initial, last_sample, parts, outputs, tiny, raw, inside, delta, density, after,
-    weights, samples, part, shares, mean,
-):  # fmt: skip
+def _shade(start, stop, options, raw, inside, delta, density, written):  # type: ignore[no-untyped-def]
     """Writes rays start..stop. `samples` are the shares of the samples, `part` is the part that each belongs to."""
+    count, activation, initial, last_sample, parts, outputs, tiny = options
+    after, weights, samples, part, shares, mean = written
     number = raw.dtype.type
     one, factor = number(1), number(initial)
     n, o = U(count), U(outputs)
@@ -171,11 +160,12 @@ def _shade(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _shade_gradient(  # type: ignore[no-untyped-def]
-    start, stop, count, activation, initial, last_sample, parts, outputs, tiny, floor, raw, inside, delta, after,
-    weights, samples, part, shares, mean, upstream, to_shares, to_mean, to_weights, to_density, to_raw,
-):  # fmt: skip
-    """Writes the gradients of rays start..stop; `upstream` are those of the weights."""
+def _shade_gradient(start, stop, options, floor, raw, inside, delta, kept, upstream, work, to_raw):  # type: ignore[no-untyped-def]
+    """Writes the gradients of rays start..stop."""
+    count, activation, initial, last_sample, parts, outputs, tiny = options
+    after, weights, samples, part, shares, mean = kept
+    upstream_weights, to_shares, to_mean = upstream
+    to_weights, to_density = work
     number = raw.dtype.type
     one, zero, factor = number(1), number(0), number(initial)
     n, m, o = U(count), U(parts), U(outputs)
@@ -206,7 +196,7 @@ def _shade_gradient(  # type: ignore[no-untyped-def]
             opacity += weights[i]
         taken = to_weights[first + n - U(1)] if last_sample and not opacity > one else zero
         for i in range(first, first + n):
-            to_weights[i] += upstream[i] - taken
+            to_weights[i] += upstream_weights[i] - taken
         transmittance.backward(ray, ray + 1, count, delta, after, weights, to_weights, to_density)
         for i in range(first, first + n):
             to_raw[i * o] = to_density[i] * factor * _slope(raw[i * o], activation)

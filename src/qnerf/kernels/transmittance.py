@@ -3,14 +3,12 @@
 The plain PyTorch reference is `qnerf.rendering.render.volume_weights_reference`.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.exponentials import exp, expm1
 from qnerf.kernels.hashgrid import U
 from qnerf.kernels.jit import jit, run
@@ -18,27 +16,22 @@ from qnerf.kernels.jit import jit, run
 GRAIN = 256  # rays that are worth waking a thread for
 
 
-class VolumeWeights(torch.autograd.Function):
-    """Densities (R, K) and lengths (R, K) -> weights (R, K); `reference` is the same in plain PyTorch."""
+def volume_weights(keeps: bool, density: Tensor, delta: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """Densities (R, K) and lengths (R, K) -> weights (R, K)."""
+    weights, after = torch.empty(2, *density.shape, dtype=density.dtype).unbind()
+    rays, count = density.shape
+    run(forward, rays, count, density, delta, after, weights, grain=GRAIN)
+    return weights, (after, weights)
 
-    @staticmethod
-    def forward(ctx: Any, density: Tensor, delta: Tensor, reference: Callable[..., Tensor]) -> Tensor:
-        weights, after = torch.empty(2, *density.shape, dtype=density.dtype).unbind()
-        rays, count = density.shape
-        run(forward, rays, count, density, delta, after, weights, grain=GRAIN)
-        ctx.save_for_backward(density, delta, after, weights)
-        ctx.reference = reference
-        return weights
 
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        density, delta, after, weights = ctx.saved_tensors
-        if is_differentiated(upstream):
-            return *through_reference(ctx.reference, (density, delta.detach()), upstream), None
-        gradient = torch.empty(density.shape, dtype=density.dtype)
-        rays, count = density.shape
-        run(backward, rays, count, delta, after, weights, upstream, gradient, grain=GRAIN)
-        return gradient, None, None
+def volume_weights_gradient(
+    needs: Sequence[bool], inputs: Sequence[Tensor], kept: Sequence[Tensor], upstream: Tensor
+) -> tuple[Tensor]:
+    (_, delta), (after, weights) = inputs, kept
+    gradient = torch.empty(delta.shape, dtype=delta.dtype)
+    rays, count = delta.shape
+    run(backward, rays, count, delta, after, weights, upstream, gradient, grain=GRAIN)
+    return (gradient,)
 
 
 @jit

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from qnerf.config.tensors import require_tensor
+from qnerf.kernels import transmittance
 from qnerf.kernels.derivatives import clamped
-from qnerf.kernels.dispatch import serves
-from qnerf.kernels.transmittance import VolumeWeights
+from qnerf.kernels.loop import Loop
 from qnerf.rendering.background import background_color
 from qnerf.types import Rendering, Samples
 
@@ -33,10 +33,8 @@ def volume_weights(density: Tensor, delta: Tensor) -> Tensor:
         (R, K) in [0, 1].
     """
     require_tensor("volume_weights: delta", delta, density.shape)
-    if serves("volume weights", density, delta):
-        weights: Tensor = VolumeWeights.apply(density, delta, volume_weights_reference)
-        return weights
-    return volume_weights_reference(density, delta)
+    weights: Tensor = _VOLUME_WEIGHTS(density, delta)
+    return weights
 
 
 def volume_weights_reference(density: Tensor, delta: Tensor) -> Tensor:
@@ -46,6 +44,14 @@ def volume_weights_reference(density: Tensor, delta: Tensor) -> Tensor:
     # Autograd computes the derivative of expm1 from its value, which loses its digits where the value is nearly -1.
     opacity = torch.where(thickness < 1, -torch.expm1(-thickness), 1 - torch.exp(-thickness))
     return opacity * torch.exp(-before)
+
+
+_VOLUME_WEIGHTS = Loop(
+    "volume weights",
+    volume_weights_reference,
+    transmittance.volume_weights,
+    transmittance.volume_weights_gradient,
+)
 
 
 def color_shares(weights: Tensor, background: str) -> Tensor:

@@ -16,7 +16,7 @@ from qnerf.config.tensors import require_tensor, returned
 from qnerf.heads.activations import DENSITY_ACTIVATIONS
 from qnerf.heads.base import MIN_BATCH
 from qnerf.kernels.dispatch import serves
-from qnerf.kernels.shading import KNOWN_ACTIVATIONS, Options, Shade
+from qnerf.kernels.shading import KNOWN_ACTIVATIONS, SHADE, Options
 from qnerf.rendering.render import color_shares, volume_weights
 
 SHADINGS: "Registry[Shading]" = Registry("shading")
@@ -162,5 +162,5 @@ def shade(
         return reference(raw)
     assert options
     assert isinstance(shading, EverySample | MergeShading)
-    weights, shares, geometry = Shade.apply(raw, inside, deltas, options, outputs)
+    weights, shares, geometry = SHADE.compiled(raw, inside, deltas, options, outputs)
     return weights, Shaded(shares, geometry, shading.chosen(shares, evaluated))

@@ -5,7 +5,6 @@ from torch import Tensor
 
 from qnerf.config.tensors import require_tensor
 from qnerf.kernels import histogram
-from qnerf.kernels.dispatch import serves
 from qnerf.types import Samples
 
 SPREAD = 0.01  # of the distance of a sparse point
@@ -43,11 +42,7 @@ def interlevel(samples: Samples, weights: Tensor, proposals: list[tuple[Samples,
         arguments = (samples.spacing.detach(), weights.detach(), proposal.spacing.detach())
         for edges, values in ((arguments[0], weights), (arguments[2], proposed)):
             require_tensor("interlevel: edges", edges, (len(weights), values.shape[-1] + 1))
-        if serves("interlevel loss", proposed, *arguments):
-            term: Tensor = histogram.Regulariser.apply(histogram.interlevel, interlevel_reference, proposed, *arguments)
-        else:
-            term = interlevel_reference(proposed, *arguments)
-        total = total + term / weights.numel()
+        total = total + _INTERLEVEL(proposed, *arguments) / weights.numel()
     return total
 
 
@@ -108,10 +103,8 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     [0.1667, 0.3333]
     """
     s = require_tensor("distortion: edges", samples.spacing.detach(), (len(weights), weights.shape[-1] + 1))
-    if serves("distortion loss", weights, s):
-        total = histogram.Regulariser.apply(histogram.distortion, distortion_reference, weights, s)
-        return total / weights.shape[0]
-    return distortion_reference(weights, s) / weights.shape[0]
+    total: Tensor = _DISTORTION(weights, s)
+    return total / weights.shape[0]
 
 
 def distortion_reference(weights: Tensor, s: Tensor) -> Tensor:
@@ -122,3 +115,7 @@ def distortion_reference(weights: Tensor, s: Tensor) -> Tensor:
     between = (gaps * before * behind).sum()
     within = ((s[:, 1:] - s[:, :-1]) * weights.square()).sum() / 3
     return between + within
+
+
+_INTERLEVEL = histogram.regulariser("interlevel loss", interlevel_reference, histogram.interlevel)
+_DISTORTION = histogram.regulariser("distortion loss", distortion_reference, histogram.distortion)
