@@ -5,6 +5,7 @@ function that computes what it draws, as a DataFrame. `qnerf figures STORE` draw
 """
 
 from ..style import save
+from .budgets import psnr_vs_time, time_points
 from .capacity import capacity_points, capacity_vs_psnr
 from .catalogue import FIGURES, Entry
 from .curves import loss_curves, loss_points, octave_errors, octave_points

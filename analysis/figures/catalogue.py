@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ..selection import by_scene
+from .budgets import psnr_vs_time
 from .capacity import capacity_vs_psnr
 from .curves import loss_curves, octave_errors
 from .forest import forest
@@ -64,6 +65,7 @@ FIGURES = {
     "capacity_density": Entry("PSNR against the parameters of the density head", capacity_vs_psnr, _DENSITY),
     "loss": Entry("Loss in training and on held-out views", loss_curves),
     "octaves": Entry("Error in each octave of spatial frequency", octave_errors),
+    "time": Entry("PSNR against the time of whole trainings", psnr_vs_time),
     "speed": Entry("PSNR against step time, with the Pareto front", speed_vs_error),
     "forest": Entry("Differences from the baseline, scene by scene", forest, trained=False),
     "stand_ins": Entry("A circuit head and its stand-ins, with verdicts", stand_ins),

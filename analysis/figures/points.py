@@ -41,10 +41,29 @@ def best(runs: pd.DataFrame, values: Sequence[str], most: int, never: Sequence[s
     return shown.assign(name=names(shown, runs, never=never)), rest
 
 
+def families(table: pd.DataFrame, runs: pd.DataFrame, x: str, ignored: Sequence[str]) -> pd.DataFrame:
+    """The rows of `points` that belong to a family with several values of `x`, numbered in the column `family`.
+
+    A family is the configurations of a scene that differ in nothing but the `ignored` settings. A name such as
+    "encoder." ignores every setting that starts with it.
+    """
+    keys = pd.concat([table["scene_name"], _settings(table, runs, ignored)], axis=1)
+    table = table.assign(family=keys.groupby(list(keys.columns), sort=False, dropna=False).ngroup())
+    return table[table.groupby("family")[x].transform("nunique") > 1].reset_index(drop=True)
+
+
+def family_names(table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str]) -> pd.Series:
+    """The name of each row's family, as `names` gives it to the family's first row."""
+    firsts = table.drop_duplicates("family")
+    texts = names(firsts, runs, ignored=ignored)
+    return table["family"].map(dict(zip(firsts["family"], texts, strict=True)))
+
+
 def names(
     table: pd.DataFrame,
     runs: pd.DataFrame,
     *,
+    ignored: Sequence[str] = (),
     always: Sequence[str] = (),
     never: Sequence[str] = (),
     short: bool = False,
@@ -52,7 +71,8 @@ def names(
     """A short name for each row of `points`: the labels that differ, then, where labels are equal, every setting that
     differs. A name that told one of several would claim that this one made the difference.
 
-    always, never: labels that every name, or none, mentions; short: names with both heads do not say which is which.
+    ignored: settings that no name mentions, as in `families`; always, never: labels that every name, or none, mentions;
+    short: names with both heads do not say which is which.
     """
     labels = table.assign(
         hash=table["hash"].where(table["encoder"] == "hash", ""),
@@ -64,7 +84,7 @@ def names(
         labels = labels.assign(density="density " + labels["density"], color="colour " + labels["color"])
     told = labels[used].fillna("").to_numpy()  # a label that a kind of run lacks
     texts = pd.Series([" ".join(filter(None, row)) for row in told], index=table.index, dtype=object)
-    own = settings(runs.loc[[members[0] for members in table["runs"]]]).set_axis(table.index)
+    own = _settings(table, runs, ignored)
     several = own.groupby([table["scene_name"], texts], dropna=False).transform("nunique") > 1
     for key in several.columns[several.any()]:
         told = several[key] & (own[key] != "")
@@ -105,6 +125,12 @@ def _grouped(runs: pd.DataFrame, values: Sequence[str], keep: Sequence[str]) -> 
     table["runs"] = pd.Series(groups.groups)
     ascending = [True, metric_of(values[0]).sign < 0]
     return table.sort_values(["scene_name", values[0]], ascending=ascending, ignore_index=True)
+
+
+def _settings(table: pd.DataFrame, runs: pd.DataFrame, ignored: Sequence[str]) -> pd.DataFrame:
+    """The `settings` of each row of `points`, without the ignored ones."""
+    own = settings(runs.loc[[members[0] for members in table["runs"]]]).set_axis(table.index)
+    return own.drop(columns=[key for key in map(str, own) if {key, key.split(".")[0] + "."} & set(ignored)])
 
 
 def seeds(table: pd.DataFrame, drawn: str = "bars") -> str:

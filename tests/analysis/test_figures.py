@@ -156,6 +156,23 @@ def test_a_curve_ends_where_the_first_of_its_seeds_does():
     assert table["n"].tolist() == [2, 2]
 
 
+def lengths(frame: pd.DataFrame) -> pd.DataFrame:
+    """The same runs again, twice as long and a decibel better."""
+    twice = {name: 2 * frame[name] for name in ("train.steps", "train_s")}
+    return pd.concat([frame, frame.assign(**twice, psnr=frame["psnr"] + 1)], ignore_index=True)
+
+
+def test_psnr_against_time_joins_trainings_of_different_lengths(frame):
+    own = frame[frame["color.qiren.layers"].eq(2) & frame["field"].eq("qcolor")]
+    (container,) = figures.psnr_vs_time(lengths(own)).axes[0].containers
+    seconds, psnr = own["train_s"].mean(), own["psnr"].mean()
+    np.testing.assert_allclose(container[0].get_xdata(orig=False), [seconds, 2 * seconds])
+    np.testing.assert_allclose(container[0].get_ydata(orig=False), [psnr, psnr + 1])
+    assert len(figures.psnr_vs_time(lengths(frame)).axes[0].containers) == len(GRID)
+    with pytest.raises(ValueError, match="no two configurations differ in train\\.steps alone"):
+        figures.psnr_vs_time(frame)
+
+
 def test_configurations_beyond_the_best_are_told(frame):
     figure = figures.loss_curves(frame, most=2)
     best = frame.groupby(["field", "color", "hash"])["psnr"].mean().nlargest(2)
@@ -187,6 +204,7 @@ def test_times_of_two_machines_have_no_front(frame):
     assert not figures.speed_points(frame)["front"].any()
     assert not [text for ax in figure.axes for text in ax.texts]
     assert "time of a step is not ranked: measured on 2 machines" in footnote(figure)
+    assert "training time is not ranked" in footnote(figures.psnr_vs_time(lengths(frame)))
 
 
 @given(arrays.arrays(float, st.tuples(st.integers(1, 12), st.just(2)), elements=st.integers(0, 5).map(float)))

@@ -120,7 +120,7 @@ def test_a_figure_asked_for_by_name_is_an_error_where_it_cannot_be_drawn(store, 
     out = ["--out", str(tmp_path)]
     main([str(store), "capacity", *out, "--filter", "field=classical", "--formats", "png"])
     assert [path.name for path in tmp_path.iterdir()] == ["capacity.png"]
-    with pytest.raises(ValueError, match=r"no run of 2 has spectrum\.parquet"):
-        main([str(store), "spectrum", *out, "--filter", "field=classical"])
+    with pytest.raises(ValueError, match=r"no two configurations differ in train\.steps alone"):
+        main([str(store), "time", *out])
     with pytest.raises(ValueError, match="unknown figure 'hue'; known: capacity"):
         main([str(store), "hue", *out])

@@ -126,4 +126,4 @@ def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
     draw(load.runs(store), [], tmp_path / "out", ["png"])
     assert re.search("not drawn: .*speed.*: KeyError: 'column'", capsys.readouterr().out)
     with pytest.raises(ValueError, match="KeyError: 'column'; KeyError: 'column'"):
-        draw(load.runs(store), ["speed", "loss"], tmp_path / "out", ["png"])
+        draw(load.runs(store), ["speed", "time"], tmp_path / "out", ["png"])
