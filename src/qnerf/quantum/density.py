@@ -51,7 +51,7 @@ def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: 
     if key not in cache:
         if len(points) >= x.shape[0]:
             return _evaluate_directly(circuit, x64, w64, noise).to(x)
-        cache[key] = cones.from_values(_evaluate_directly(circuit, points, w64, noise))
+        cache[key] = cones.coefficients(_evaluate_directly(circuit, points, w64, noise))
     return polynomials(cones.form, x.detach(), cache[key].to(x))
 
 
