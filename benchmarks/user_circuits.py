@@ -1,9 +1,10 @@
 """The speed of circuits as PennyLane's users write them: `python -m benchmarks.user_circuits --commit COMMIT`.
 
-Forward + backward of 1,024 samples in float32, of each QNode as `from_qnode`, whose calls make PennyLane's tape, and
-as `QuantumLayer(layer.circuit(features))`. Before them QIREN and circuits of Gates with as many of them, in turn
-(6,144 samples). Rows are saved as benchmarks/results/user_circuits.parquet, with the processor; those of other commits
-and threads stay. An older commit is measured with PYTHONPATH=<its src>.
+Forward + backward of 1,024 samples in float32, in turn: of each QNode as `from_qnode`, whose calls make PennyLane's
+tape, as PennyLane's TorchLayer on the devices default.qubit and qnerf.fast, and as
+`QuantumLayer(layer.circuit(features))`. Before them QIREN and circuits of Gates with as many of them (6,144 samples).
+Rows are saved as benchmarks/results/user_circuits.parquet, with the processor; those of other commits and threads stay.
+An older commit is measured with PYTHONPATH=<its src>.
 """
 
 import argparse
@@ -156,12 +157,22 @@ CASES = {
 }
 
 
-def layer_of(case: Case) -> Any:
+def layers_of(case: Case) -> dict[str, nn.Module]:
+    """The layers of a QNode, by how it is called."""
+
     def function(inputs: Any, w: Any) -> Any:
         case.queue(inputs, w)
         return case.measured(case.wires)
 
-    return from_qnode(qml.QNode(function, qml.device("default.qubit", wires=case.wires)), {"w": case.shape})
+    default, fast = (
+        qml.QNode(function, qml.device(name, wires=case.wires), interface="torch")
+        for name in ("default.qubit", "qnerf.fast")
+    )
+    own, shapes = from_qnode(default, {"w": case.shape}), {"w": case.shape}
+    layers = {"from_qnode": own, "qnerf.fast": qml.qnn.TorchLayer(fast, shapes)}
+    if case.features == case.wires:  # a circuit cannot normalise the amplitudes of its input
+        layers["QuantumLayer"] = QuantumLayer(own.circuit(case.features))
+    return layers | {"default.qubit": qml.qnn.TorchLayer(default, shapes)}
 
 
 def of_gates(axes: str, gate: str, pairs: Callable[[int], list[tuple[int, int]]], wires: int = 8) -> Circuit:
@@ -227,22 +238,16 @@ def timed(layers: Mapping[str, nn.Module], samples: int, features: int, repeats:
 def measured(repeats: int, every: bool) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
 
-    def add(call: str, layers: Mapping[str, nn.Module], samples: int, features: int) -> None:
+    def add(layers: Mapping[str, nn.Module], samples: int, features: int, **about: str) -> None:
         for name, row in timed(layers, samples, features, repeats).items():
-            rows.append({"circuit": name, "call": call, "samples": samples} | row)
-            print(f"{name} {call} {row['cpu_ms']:.2f} ms, times {row['times_first']:.2f}", flush=True)
+            own = {"circuit": name, "call": name} | about
+            rows.append(own | {"samples": samples} | row)
+            print(f"{own['circuit']} {own['call']} {row['cpu_ms']:.2f} ms, times {row['times_first']:.2f}", flush=True)
 
-    add(
-        "QuantumLayer",
-        {"QIREN 8": QuantumLayer(8, 2), **{k: QuantumLayer(of_gates(*v)) for k, v in OWN.items()}},
-        6144,
-        8,
-    )
+    own = {"QIREN 8": QuantumLayer(8, 2), **{k: QuantumLayer(of_gates(*v)) for k, v in OWN.items()}}
+    add(own, 6144, 8, call="QuantumLayer")
     for name, case in CASES.items() if every else ():
-        layer = layer_of(case)
-        add("from_qnode", {name: layer}, SAMPLES, case.features)
-        if not name.startswith("amplitudes"):  # no polynomial
-            add("QuantumLayer", {name: QuantumLayer(layer.circuit(case.features))}, SAMPLES, case.features)
+        add(layers_of(case), SAMPLES, case.features, circuit=name)
     return rows
 
 

@@ -54,8 +54,8 @@ def test_the_scripts_are_bash() -> None:
         assert subprocess.run(["bash", "-n", ROOT / ".ci" / script], check=False).returncode == 0
 
 
-PATCHED = ("hydra-core", "viser")
-"""Packages whose private parts we use: the registry of plugins and composition; how the server is started."""
+PATCHED = ("hydra-core", "numba", "viser")
+"""Packages whose private parts we use: plugins and composition; how types are chosen; how the server is started."""
 
 
 def test_dependencies_have_lowest_versions_and_patched_ones_highest() -> None:

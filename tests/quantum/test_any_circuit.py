@@ -112,28 +112,20 @@ def test_program_leaves_out_what_has_no_effect() -> None:
         torch.testing.assert_close(fast(x), plain(x), rtol=0, atol=2e-6)
 
 
-def test_chunks_of_plain_torch_are_seamless(monkeypatch: pytest.MonkeyPatch) -> None:
-    for circuit in (
-        MIXED,
-        replace(MIXED, operations=MIXED.operations[1:]),
-    ):  # with a start for each sample, and without
-        _, plain = layers(circuit)
+@pytest.mark.parametrize(
+    ("name", "value"), [("CHUNK_BYTES", 20_000), ("takes_dense_blocks", lambda device, wires: True)]
+)
+def test_plain_torch_is_the_same_in_chunks_and_by_dense_blocks(
+    name: str, value: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a start for each sample, and without; dense blocks are what a GPU takes."""
+    named = (ANSATZE.build("qiren", 4, 2), ANSATZE.build("cnot", 3, 2), ANSATZE.build("rx", 3, 1))
+    for circuit in (MIXED, replace(MIXED, operations=MIXED.operations[1:]), *named):
+        _, plain = layers(replace(circuit, features=FEATURES))
         whole = results(plain, 23)
         with monkeypatch.context() as patch:
-            patch.setattr(statevector, "CHUNK_BYTES", 20_000)
+            patch.setattr(statevector, name, value)
             for one, two in zip(results(plain, 23), whole, strict=True):
-                torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
-
-
-def test_dense_blocks_are_the_blocks_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a GPU takes, on the CPU."""
-    for circuit in (MIXED, ANSATZE.build("qiren", 4, 2), ANSATZE.build("cnot", 3, 2), ANSATZE.build("rx", 3, 1)):
-        wide = replace(circuit, features=FEATURES)
-        _, plain = layers(wide)
-        whole = results(plain, 7)
-        with monkeypatch.context() as patch:
-            patch.setattr(statevector, "takes_dense_blocks", lambda device, wires: True)
-            for one, two in zip(results(plain, 7), whole, strict=True):
                 torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
 
 
@@ -191,7 +183,6 @@ MISTAKES: list[tuple[Callable[[], Any], str]] = [
     (lambda: of(measured=(0, "Z")), r"observable \(0, 'Z'\) expects pairs of a wire and a letter"),
     (lambda: of(measured=qml.Z(0)), r"or a Hamiltonian, or Probabilities"),
     (lambda: QuantumLayer(of())(np.zeros((1, 2))), r"tensor \(..., 2\) of angles in radians, got ndarray"),
-    (lambda: QuantumLayer(of())(torch.zeros(1, 2).int()), "got a tensor of torch.int32"),
     (lambda: of(Gate("X", (2,))), "needs wires below 2"),
     (lambda: of(Gate("RX", (0,), (feature(2),))), "the input has 2 features"),
     (lambda: of(Gate("RX", (0,), (weight("v", 0),))), r"declared weights: w with 6"),

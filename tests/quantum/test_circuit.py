@@ -48,12 +48,3 @@ def test_cones_need_scales_with_a_common_unit() -> None:
     circuit = Circuit("odd", 1, operations, (((0, "Z"),),), weights=(w,))
     with pytest.raises(TooLarge, match="no common unit"):
         find_cones(program(circuit))
-
-
-def test_mistakes_in_options_of_an_ansatz_are_one_line() -> None:
-    for options, message in (
-        ({"ranges": (3, 1)}, "none a multiple of 3"),
-        ({"ranges": (1,)}, "needs 2 distances"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            ANSATZE.build("qiren", 3, 1, **options)

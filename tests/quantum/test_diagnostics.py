@@ -65,14 +65,6 @@ def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation() 
     assert d.expressibility(QuantumLayer(ROT), pairs=40_000) == pytest.approx(expected, abs=0.004)
 
 
-def test_fisher_information_of_one_ry_and_of_a_product() -> None:
-    layer = QuantumLayer(ROT)
-    matrix = d.fisher(layer, torch.zeros(2, 1), torch.tensor([0.3, 0.8, 0.2]))
-    expected = torch.zeros(3, 3, dtype=torch.float64)
-    expected[1, 1] = 1  # p = cos(theta / 2)^2 has (dp)^2 / (p (1 - p)) = 1 for every theta
-    assert torch.allclose(matrix, expected, atol=1e-12)
-
-
 def test_effective_dimension_counts_directions() -> None:
     k = 1000 / (2 * pi * log(1000))
     flat = torch.diag(torch.tensor([1.0, 1.0, 0.0, 0.0], dtype=torch.float64))

@@ -107,6 +107,8 @@ MISTAKES: list[tuple[tuple[Any, ...], dict[str, Any], str]] = [
     ((ANSATZE.build("qiren", 3, 2), 2), {}, "spectral belongs to the circuit qiren, which is given, got spectral=2"),
     ((3, 1), {"method": "exact"}, "method expects one of auto, lightcone, statevector, pennylane, got 'exact'"),
     ((3, 1), {"ansatz": "q"}, "ansatz: unknown name 'q'; known: cnot"),
+    ((3, 1), {"ansatz_options": {"ranges": (3, 1)}}, "none a multiple of 3"),
+    ((3, 1), {"ansatz_options": {"ranges": (1,)}}, "needs 2 distances"),
     ((3, 1), {"init": "zero"}, "init: unknown name 'zero'; known: eighth, uniform"),
     ((8, 2), {"method": "lightcone"}, "depends on 8 inputs.*choose method=statevector or auto"),
 ]

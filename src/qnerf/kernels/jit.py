@@ -47,7 +47,7 @@ def jit(function: Kernel, **options: Any) -> Kernel:
     except RuntimeError:  # "no locator available": no folder for the cache can be written
         kernel = numba.njit(function, cache=False, **options)
     _kernels.add(kernel)
-    template = kernel.get_call_template
+    template = kernel.get_call_template  # a private part of Numba, for which pyproject.toml has an upper bound
 
     def without_numbers(arguments: Any, named: dict[str, Any]) -> Any:
         """What calls with these types run: Numba would compile a function once more for every number in a call."""

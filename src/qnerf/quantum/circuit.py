@@ -58,7 +58,6 @@ Wires = Annotated[int, Interval(ge=1, le=MAX_WIRES)]
 Spectral = Annotated[int, Interval(ge=1, le=MAX_SPECTRAL)]
 EntanglingGate = Literal["CZ", "CNOT"]
 Pauli = Literal["X", "Y", "Z"]
-ENTANGLING_GATES = get_args(EntanglingGate)
 PAULIS = get_args(Pauli)
 
 PauliWord = tuple[tuple[int, str], ...]

@@ -7,14 +7,13 @@ small cones need the interpolation grid alone.
 """
 
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import partial, reduce
 
 import torch
 from torch import Tensor
 
 from qnerf.config import memory
 from qnerf.quantum.angles import ExpressionTable
-from qnerf.quantum.basis import bit, cnot_permutation, cz_signs
 from qnerf.quantum.circuit import Circuit, Expression, Gate, Observable, Probabilities, as_sum
 from qnerf.quantum.cones import TooLarge, cones_of_outputs
 from qnerf.quantum.lightcone import LightCones, interpolation, polynomials
@@ -26,13 +25,6 @@ from qnerf.quantum.words import Word
 CHUNK_BYTES = 2**27
 SECONDS = 3.7e-8  # for each entry of a density matrix and each factor of a gate or channel, one core
 QUICK_GRID, QUICK_SAMPLE = 60.0, 2e-3  # seconds
-
-_PAULIS = {
-    "I": torch.eye(2, dtype=torch.complex128),
-    "X": torch.tensor([[0, 1], [1, 0]], dtype=torch.complex128),
-    "Y": torch.tensor([[0, -1j], [1j, 0]], dtype=torch.complex128),
-    "Z": torch.tensor([[1, 0], [0, -1]], dtype=torch.complex128),
-}
 
 
 def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: dict[bytes, Tensor]) -> Tensor:
@@ -51,7 +43,7 @@ def evaluate(circuit: Circuit, x: Tensor, weights: Tensor, noise: Noise, cache: 
     if key not in cache:
         if len(points) >= x.shape[0]:
             return _evaluate_directly(circuit, x64, w64, noise).to(x)
-        cache[key] = cones.from_values(_evaluate_directly(circuit, points, w64, noise))
+        cache[key] = cones.coefficients(_evaluate_directly(circuit, points, w64, noise))
     return polynomials(cones.form, x.detach(), cache[key].to(x))
 
 
@@ -115,74 +107,36 @@ Channel = Callable[[Tensor, bool], Tensor]
 def _channels_of(
     gate: Gate, circuit: Circuit, x: Tensor, weights: Tensor, noises: dict[int, list[Tensor]]
 ) -> list[Channel]:
-    """The gate and the noise after it, in the order in which they act on a state."""
-    n, channels = circuit.wires, list[Channel]()
-
-    def add(superoperator: Tensor, wire: int) -> None:
-        channels.append(lambda matrix, adjoint: _apply(matrix, superoperator, wire, n, adjoint))
-
-    def add_rotation(word: Word, angle: Tensor) -> None:
-        channels.append(lambda matrix, adjoint: _turn(matrix, word, -angle if adjoint else angle, n))
-
-    if gate.name in ("CZ", "CNOT"):  # their own adjoints
-        channels.append(lambda matrix, _: _entangle(matrix, gate.name, (gate.wires[0], gate.wires[1]), n))
-    else:
-        expressions = [gate.angle_of(part) for part in gate.rotations]
-        fixed = not any(expression.features for expression in expressions)
-        angles = ExpressionTable(expressions, circuit.parameters, fixed)(x, weights).T
-        if len(gate.wires) == 1:
-            turns = [_rotation(part.letters, angle) for part, angle in zip(gate.rotations, angles, strict=True)]
-            unitary = reduce(lambda before, turn: turn @ before, turns)
-            add(_superoperator([unitary[0] if fixed else unitary]), gate.wires[0])
-        else:
-            for part, angle in zip(gate.rotations, angles, strict=True):
-                add_rotation(Word.of(part.letters, gate.wires, n), angle)
-    for wire in gate.wires:
-        for superoperator in noises[len(gate.wires)]:
-            add(superoperator, wire)
-    return channels
+    """The gate, rotation by rotation, and the noise after it, in the order in which they act on a state."""
+    n, expressions = circuit.wires, [gate.angle_of(part) for part in gate.rotations]
+    fixed = not any(expression.features for expression in expressions)
+    angles = ExpressionTable(expressions, circuit.parameters, fixed)(x, weights).T
+    words = [Word.of(part.letters, gate.wires, n) for part in gate.rotations]
+    turns = (partial(_turn, word, angle, n) for word, angle in zip(words, angles, strict=True))
+    noise = (partial(_apply, own, wire, n) for wire in gate.wires for own in noises[len(gate.wires)])
+    return [*turns, *noise]
 
 
-def _turn(matrix: Tensor, word: Word, angle: Tensor, n: int) -> Tensor:
+def _turn(word: Word, angle: Tensor, n: int, matrix: Tensor, adjoint: bool) -> Tensor:
     """U M U^dagger of matrices (2^n, 2^n, B), where U is the rotation about `word` by `angle` (1 or B,)."""
     index, phases = action(word, n, matrix.device, matrix.dtype)
-    c, s = (angle / 2).cos(), -1j * (angle / 2).sin()
+    c, s = (angle / 2).cos(), 1j * (angle / 2).sin() * (1 if adjoint else -1)
     matrix = c * matrix + s * (phases[:, None, None] * matrix[index])
     return c * matrix - s * (phases.conj()[None, :, None] * matrix[:, index])
 
 
-def _rotation(axis: str, angle: Tensor) -> Tensor:
-    """exp(-i angle axis / 2): (...) -> (..., 2, 2)."""
-    half = (angle / 2).to(torch.complex128)[..., None, None]
-    return half.cos() * _PAULIS["I"] - 1j * half.sin() * _PAULIS[axis]
-
-
 def _superoperator(kraus: list[Tensor]) -> Tensor:
-    """S[r, s, u, v] of rho -> sum_K K rho K^dagger, from operators (..., 2, 2): (..., 2, 2, 2, 2)."""
-    return torch.stack([torch.einsum("...ru,...sv->...rsuv", k, k.conj()) for k in kraus]).sum(0)
+    """S[r, s, u, v] of rho -> sum_K K rho K^dagger, from operators (2, 2): (2, 2, 2, 2)."""
+    return torch.stack([torch.einsum("ru,sv->rsuv", k, k.conj()) for k in kraus]).sum(0)
 
 
-def _apply(matrix: Tensor, superoperator: Tensor, wire: int, n: int, adjoint: bool) -> Tensor:
-    """A superoperator (2, 2, 2, 2) or (B, 2, 2, 2, 2), or its adjoint, on one wire of matrices (2^n, 2^n, B)."""
+def _apply(superoperator: Tensor, wire: int, n: int, matrix: Tensor, adjoint: bool) -> Tensor:
+    """A superoperator (2, 2, 2, 2), or its adjoint, on one wire of matrices (2^n, 2^n, B)."""
     if adjoint:
         superoperator = superoperator.conj().movedim((-4, -3), (-2, -1))
     before, after = 2**wire, 2 ** (n - wire - 1)
     view = matrix.reshape(before, 2, after, before, 2, after, -1)
-    if superoperator.ndim == 4:
-        out = torch.einsum("rsuv,aucdvfB->arcdsfB", superoperator, view)
-    else:
-        view = view.expand(*view.shape[:-1], superoperator.shape[0])
-        out = torch.einsum("Brsuv,aucdvfB->arcdsfB", superoperator, view)
-    return out.reshape(2**n, 2**n, -1)
-
-
-def _entangle(matrix: Tensor, gate: str, pair: tuple[int, int], n: int) -> Tensor:
-    bits = bit(pair[0], n), bit(pair[1], n)
-    if gate == "CZ":
-        sign = torch.from_numpy(cz_signs((bits,), n))
-        return matrix * (sign[:, None] * sign[None, :])[..., None]
-    index = torch.from_numpy(cnot_permutation((bits,), n))
-    return matrix[index][:, index]
+    return torch.einsum("rsuv,aucdvfB->arcdsfB", superoperator, view).reshape(2**n, 2**n, -1)
 
 
 def _matrices(observable: Observable, n: int) -> list[Tensor]:
@@ -193,6 +147,9 @@ def _matrices(observable: Observable, n: int) -> list[Tensor]:
             outcome = 2 * outcome + (basis >> (n - 1 - wire) & 1)
         return [torch.diag((outcome == k).to(torch.complex128)) for k in range(2 ** len(observable.wires))]
     sums = as_sum(observable)
-    letters = [[dict(word).get(wire, "I") for wire in range(n)] for word in sums.words]
-    words = [reduce(torch.kron, [_PAULIS[letter] for letter in word]) for word in letters]
-    return [sum((c * word for c, word in zip(sums.coefficients, words, strict=True)), torch.zeros_like(words[0]))]
+    total = torch.zeros(2**n, 2**n, dtype=torch.complex128)
+    for coefficient, word in zip(sums.coefficients, sums.words, strict=True):
+        own = Word.of([letter for _, letter in word], [wire for wire, _ in word], n)
+        index, phases = action(own, n, total.device, total.dtype)
+        total[torch.arange(2**n), index] += coefficient * phases
+    return [total]

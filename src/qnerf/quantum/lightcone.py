@@ -8,7 +8,7 @@ will do. A wide one is several smaller ones (`registers`).
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from itertools import chain
 from math import pi, prod
 from typing import Any
@@ -161,27 +161,30 @@ class LightCones:
     def __init__(self, cones: Cones) -> None:
         self.form, self.grid = polynomial_form(cones), interpolation(cones)
 
-    def coefficients(
+    def on_grid(
         self, plain: PlainCircuit, simulate: Simulate, weights: Tensor, fixed: Tensor, start: Tensor | None
     ) -> Tensor:
-        """(values, most coefficients), float64, from the values that `simulate` gives on the grid."""
+        """The values (points, values) that `simulate` gives on the grid, float64."""
         points = torch.from_numpy(self.grid.points).to(weights.device)
-        inputs = plain.angles.inputs(points, weights)
-        return self.from_values(simulate(fixed, inputs, start, len(points), torch.float64))
+        return simulate(fixed, plain.angles.inputs(points, weights), start, len(points), torch.float64)
 
-    def from_values(self, values: Tensor) -> Tensor:
+    def coefficients(self, values: Tensor) -> Tensor:
         """Coefficients (values, most coefficients) of the polynomials with these values (points, values)."""
         return (torch.from_numpy(self.grid.matrix).to(values) * values.T[:, None]).sum(2)
+
+    def through(self, x: Tensor, values: Tensor) -> Tensor:
+        """The polynomials with these values on the grid, at inputs x (B, features): plain PyTorch."""
+        return polynomials(self.form, x, self.coefficients(values).to(x.dtype))
 
     def evaluate(self, plain: PlainCircuit, simulate: Simulate, x: Tensor, weights: Tensor, compiled: bool) -> Tensor:
         """Outputs (B, outputs) of the circuit, by polynomials whose coefficients come from `simulate`."""
 
         def values(fixed: Tensor, _: Tensor, start: Tensor | None, batch: int, dtype: torch.dtype) -> Tensor:
-            found = self.coefficients(plain, simulate, weights, fixed, start).to(dtype)
-            if compiled:
-                out: Tensor = _Polynomials.apply(self.form, x, found)
-                return out
-            return polynomials(self.form, x, found)
+            found = self.on_grid(plain, simulate, weights, fixed, start)
+            if not compiled:
+                return self.through(x, found)
+            out: Tensor = _Polynomials.apply(self, x, found)
+            return out
 
         return plain.evaluate(x, weights, values)
 
@@ -201,12 +204,12 @@ def polynomials(form: PolynomialForm, x: Tensor, coefficients: Tensor) -> Tensor
 
 
 class _Polynomials(torch.autograd.Function):
-    """`polynomials`, compiled."""
+    """`LightCones.through`, compiled."""
 
     @staticmethod
-    def forward(ctx: Any, form: PolynomialForm, x: Tensor, coefficients: Tensor) -> Tensor:
-        table = coefficients.detach().numpy()
-        own = x.detach().numpy()
+    def forward(ctx: Any, cones: LightCones, x: Tensor, values: Tensor) -> Tensor:
+        form, own = cones.form, x.detach().numpy()
+        table = np.matmul(cones.grid.matrix, values.detach().numpy().T[..., None])[..., 0].astype(own.dtype)
         angles = to_blocks(own if form.uses_all else own[:, form.used], lanes(table.itemsize))
         trig = np.empty((angles.shape[0], 2, *angles.shape[1:]), table.dtype)
         cos_sin(angles, form.base_frequencies[form.used], trig.swapaxes(0, 1))
@@ -215,25 +218,23 @@ class _Polynomials(torch.autograd.Function):
         found = polynomial.Polynomials(form.highest_degree, table, form.features, form.basis_sizes, form.counts)
         arguments = trig, trig.shape[3], found
         run(polynomial.evaluate, parts, parts, *arguments, out)
-        ctx.save_for_backward(x, coefficients)
-        ctx.saved = form, parts, arguments
+        ctx.save_for_backward(x, values)
+        ctx.saved = cones, parts, arguments
         # Rounding may lead beyond. PyTorch would share this with threads, which then spin beside the loops.
         return from_blocks(np.clip(out, -1, 1, out=out), x.shape[0])
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        form, parts, arguments = ctx.saved
-        x, coefficients = ctx.saved_tensors
+        cones, parts, arguments = ctx.saved
         if is_differentiated(gradient):
-            return None, *through_reference(partial(polynomials, form), (x, coefficients), gradient)
-        trig, table = arguments[0], arguments[2].coefficients
-        width = trig.shape[3]
-        inputs = np.empty((trig.shape[0], trig.shape[2], width), table.dtype)
-        sums = np.empty((parts, *table.shape))
+            return None, *through_reference(cones.through, ctx.saved_tensors, gradient)
+        form, x, (trig, width, found) = cones.form, ctx.saved_tensors[0], arguments
+        inputs = np.empty((trig.shape[0], trig.shape[2], width), trig.dtype)
+        sums = np.empty((parts, *found.coefficients.shape))
         upstream = to_blocks(gradient.detach().resolve_neg().numpy(), width)
         run(polynomial.gradients, parts, parts, *arguments, upstream, inputs, sums)
-        inputs *= form.base_frequencies[form.used][:, None].astype(table.dtype)
+        inputs *= form.base_frequencies[form.used][:, None].astype(trig.dtype)
         dx = from_blocks(inputs, len(x))
         if not form.uses_all:
             dx = torch.zeros_like(x).index_copy_(1, torch.from_numpy(form.used), dx)
-        return None, dx, torch.from_numpy(sums.sum(0)).to(coefficients.dtype)
+        return None, dx, torch.from_numpy(np.matmul(sums.sum(0)[:, None], cones.grid.matrix)[:, 0].T)
