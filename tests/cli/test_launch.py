@@ -21,7 +21,7 @@ from qnerf.cli.sweep import Sweep
 from qnerf.cli.training import train
 from qnerf.config import devices
 from qnerf.experiment import Outcome
-from qnerf.records import Run, RunStore, read_config, read_metrics, read_summary, runs, state
+from qnerf.records import Run, RunStore, StoreError, read_config, read_metrics, read_summary, runs, state
 from qnerf.training.stop_requests import stop_requests
 from tests.helpers.processes import Forked, call
 from tests.helpers.stores import vanish
@@ -277,6 +277,19 @@ def test_a_stop_while_the_scene_is_read_leaves_no_run(qnerf, small, tmp_path, mo
     done = qnerf("run", *small)
     assert (done.code, done.err) == (130, "stopped\n")
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_full_disk_forgets_no_job_of_a_sweep(tmp_path, monkeypatch):
+    def full(path, *arguments, **options):
+        raise StoreError(f"{path}: cannot write: No space left on device") from OSError(errno.ENOSPC, "no space")
+
+    first = Sweep(tmp_path)
+    first.fail(0, ["seed=0"], "diverged")
+    monkeypatch.setattr(sweeps, "replace", full)
+    Sweep(tmp_path).fail(1, ["seed=1"], "full")
+    assert first.failures() == [("seed=0", "diverged"), ("seed=1", "full")]
+    sweeps._unwritten.clear()  # as in another process
+    assert first.failures() == [("seed=0", "diverged"), ("job 1", "the disk had no room for the reason")]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ The folder works for jobs on any machine that shares the store:
   jobs/            scripts and output of a cluster's jobs
 """
 
+import contextlib
 import copy
 import itertools
 import json
@@ -26,7 +27,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from qnerf.building.configuration import Configuration
 from qnerf.cli import compose
 from qnerf.cli.errors import one_line
-from qnerf.records import owner, state
+from qnerf.records import StoreError, owner, state
 from qnerf.records.files import read_json, replace
 
 COUNTED = 300  # jobs; composing more of them to count different runs takes longer than it is worth
@@ -34,6 +35,7 @@ MAX_JOBS = 100_000  # Hydra lists them all in memory
 RETRY = 5.0  # seconds between two looks at runs that other processes train
 
 started: list["Sweep"] = []  # sweeps that this process started
+_unwritten: dict[Path, dict[str, Any]] = {}  # what this process could not write into the folder of a sweep
 
 
 class Sweep:
@@ -63,15 +65,29 @@ class Sweep:
 
     def _write(self, kind: str, job: int, content: Mapping[str, Any]) -> None:
         path = self.folder / kind / f"{job}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace(path, json.dumps(content).encode(), durable=False)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            replace(path, json.dumps(content).encode(), durable=False)
+        except (OSError, StoreError):  # the disk is full: the other jobs go on, and this process remembers it
+            _unwritten[path] = dict(content)
+            with contextlib.suppress(OSError):
+                path.touch()
 
     def _read(self, kind: str) -> dict[int, Any]:
-        paths = {int(path.stem): path for path in (self.folder / kind).glob("*.json")}
-        return {number: read_json(paths[number]) for number in sorted(paths)}
+        folder = self.folder / kind
+        paths = {int(path.stem): path for path in (*folder.glob("*.json"), *_unwritten) if path.parent == folder}
+        return {number: _unwritten.get(paths[number]) or _job(paths[number]) for number in sorted(paths)}
 
     def _own(self, overrides: Sequence[str]) -> str:
         return " ".join([item for item in overrides if item not in self.common] or overrides)
+
+
+def _job(path: Path) -> dict[str, Any]:
+    """What a job has reported; that it has reported, where the disk had no room for more."""
+    try:
+        return read_json(path)
+    except (OSError, StoreError):
+        return {"overrides": [f"job {path.stem}"], "reason": "the disk had no room for the reason", "run": path.stem}
 
 
 class Grid(BasicSweeper):
