@@ -73,7 +73,7 @@ def test_columns_have_one_list_of_names():
 def test_a_filter_that_chooses_nothing_says_why() -> None:
     for condition, told in (
         ("field=qboth", "no run of 4 has field=qboth; there are field: classical, qcolor"),
-        ("psnr>30 seed=1", "psnr: 20.0, 21.5, 25.0; seed: 0, 1, 2, 3"),
+        ("psnr>30 seed=1", "psnr: 20, 21.5, 25; seed: 0, 1, 2, 3"),
         ({"field": "qboth", "seed": 1}, "has field=qboth, seed=1; there are field: classical, qcolor; seed: 0, 1"),
         ({"seed": []}, r"no run of 4 has seed=\[\]"),
         ({"tags": "bad"}, "tags: good, old"),

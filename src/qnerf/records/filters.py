@@ -116,10 +116,14 @@ def require(frame: pd.DataFrame, conditions: str | Mapping[str, Any], rows: str 
     chosen = select(frame, filters)
     if chosen.empty:
         text = conditions if isinstance(conditions, str) else ", ".join(f"{key}={v}" for key, v in conditions.items())
-        keys = dict.fromkeys(check_column(item.key, frame.columns) for item in filters)
-        known = "; ".join(f"{key}: {known_values(frame[key])}" for key in keys)
-        raise ValueError(f"no {rows.removesuffix('s')} of {len(frame):,} has {text}; there are {known}")
+        raise ValueError(f"no {rows.removesuffix('s')} of {len(frame):,} has {text}; {there_are(frame, filters)}")
     return chosen
+
+
+def there_are(frame: pd.DataFrame, filters: Sequence[Filter]) -> str:
+    """The values of the filters' columns, for a message that no row meets them."""
+    keys = dict.fromkeys(check_column(item.key, frame.columns) for item in filters)
+    return "there are " + "; ".join(f"{key}: {known_values(frame[key])}" for key in keys)
 
 
 def known_values(column: pd.Series, limit: int = 8) -> str:
@@ -129,7 +133,8 @@ def known_values(column: pd.Series, limit: int = 8) -> str:
     if len(distinct) > limit and pd.api.types.is_numeric_dtype(values):
         return f"{values.min():.6g} to {values.max():.6g}"
     more = f" and {len(distinct) - limit} more" if len(distinct) > limit else ""
-    return ", ".join(str(value) for value in distinct[:limit]) + more or "no values"
+    shown = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in distinct[:limit])
+    return ", ".join(shown) + more or "no values"
 
 
 def check_column(name: str, known: Iterable[str]) -> str:

@@ -80,7 +80,7 @@ def test_a_mistake_is_one_line(store, qnerf):
 
 
 def test_runs_of_an_empty_store_and_of_no_match(store, qnerf, tmp_path):
-    assert qnerf("runs", "seed=7").out == f"no run of 5 in {store} has seed=7\n"
+    assert qnerf("runs", "seed=7").out == f"no run of 5 in {store} has seed=7; there are seed: 0, 1, 2\n"
     assert qnerf("runs", "seed=7", "--json").json == []
     for path in store.iterdir():
         path.rename(tmp_path / path.name)

@@ -68,9 +68,11 @@ def main(options: argparse.Namespace) -> None:
     elif options.ids:
         for name in limited(frame, options.limit).get("run_id", ()):
             print(printable(name))
+    elif not len(everything):
+        print(f"no runs in {printable(options.store)}")
     elif frame.empty:
-        where, wanted = printable(options.store), printable(" ".join(options.filters))
-        print(f"no run of {len(everything):,} in {where} has {wanted}" if len(everything) else f"no runs in {where}")
+        wanted = f"{' '.join(options.filters)}; {filters.there_are(everything, conditions)}"
+        print(f"no run of {len(everything):,} in {printable(options.store)} has {printable(wanted)}")
     else:
         extra = [name for name in frame.columns if name not in NEEDED] if options.all_columns else extra
         print_runs(out, frame, screen(out) if options.limit is None else options.limit, extra)
