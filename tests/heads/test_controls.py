@@ -6,8 +6,9 @@ import math
 import pennylane as qml
 import pytest
 import torch
+from torch import nn
 
-from qnerf.heads import HEADS
+from qnerf.heads import HEADS, QirenHead
 from tests.helpers.configs import composed
 
 
@@ -58,6 +59,23 @@ def test_qrun_is_what_its_published_code_computes():
     torch.testing.assert_close(head(x), head.readout(values))
     with pytest.raises(ValueError, match="even"):
         HEADS.build("qrun", 3, 2, width=5)
+
+
+def test_residual_stages_learn_one_after_another_what_the_sum_leaves():
+    head = HEADS.build("residual", 2, 1, stages=3, qubits=2, spectral=1).double()
+    stages, x = [nn.ModuleList([head.hybrid, head.readout]), *head.later], torch.randn(8, 2, dtype=torch.float64)
+    for number, progress in enumerate((0.0, 0.5, 0.7)):
+        head.zero_grad()
+        head.progress = progress
+        head.train()(x).square().sum().backward()
+        assert [any(p.grad is not None for p in stage.parameters()) for stage in stages] == [
+            k == number for k in range(3)
+        ]
+    head.progress, values, total = 1.0, QirenHead.forward(head.eval(), x), 0
+    for stage in (*head.later, None):
+        total = total + values
+        values = stage and stage(torch.cat([x, values], 1))
+    torch.testing.assert_close(head(x), total)
 
 
 @pytest.mark.parametrize("trained", [False, True])

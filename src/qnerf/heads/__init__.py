@@ -10,12 +10,13 @@ from qnerf.heads.qiren_bypass import QirenBypassHead
 from qnerf.heads.qkan import QKANHead
 from qnerf.heads.qnode import QnodeHead, qnode_head
 from qnerf.heads.qrun import QRunHead
+from qnerf.heads.residual import ResidualHead
 from qnerf.heads.siren import SirenHead
 from qnerf.heads.surrogate import SurrogateHead
 from qnerf.heads.tensor_train import TensorTrainHead
 
 __all__ = [
     "HEADS", "AmplitudeHead", "Head", "HybridLayer", "HyperHead", "MLPHead", "QFGNHead", "QKANHead", "QRunHead",
-    "QirenBypassHead", "QirenHead", "QnodeHead", "SirenHead", "SurrogateHead", "TensorTrainHead", "chosen",
-    "head_options", "qnode_head",
+    "QirenBypassHead", "QirenHead", "QnodeHead", "ResidualHead", "SirenHead", "SurrogateHead", "TensorTrainHead",
+    "chosen", "head_options", "qnode_head",
 ]  # fmt: skip

@@ -23,6 +23,7 @@ from qnerf.records.files import reporting
 from qnerf.rendering.background import evaluation_background
 from qnerf.scenes import Scene
 from qnerf.timing import Stopwatch
+from qnerf.training.schedules import paced
 from qnerf.training.state_checks import check_shapes
 
 Key = TypeVar("Key")
@@ -57,7 +58,8 @@ class Trained:
                 reason = error if isinstance(error, ValueError) else type(error).__name__
                 raise ValueError(f"{path}: expected the checkpoint of this run, got another: {reason}") from error
         model.load_state_dict(checkpoint["model"])
-        model.field.encoder.progress = step / steps
+        for part in paced(model):
+            part.progress = step / steps
         return replace(self, step=step)
 
     @property

@@ -10,6 +10,7 @@ from qnerf.building.model import build_model
 from qnerf.model.model import Model
 from qnerf.probes.trained import Trained, heads_of
 from qnerf.quantum import QuantumLayer
+from qnerf.training.schedules import paced
 
 RAYS = 1024
 
@@ -22,7 +23,8 @@ def table(trained: Trained) -> pd.DataFrame:
     for other kinds; std: the standard deviation over the samples, as a root mean square over the units.
     """
     fresh = build_model(trained.settings, trained.scene)
-    fresh.field.encoder.progress = 0.0
+    for part in paced(fresh):
+        part.progress = 0.0
     parts = []
     for when, model, step in (("start", fresh, 0), ("end", trained.model, trained.step)):
         parts += [{"when": when, **row} for row in _measured(trained, model, step)]

@@ -1,12 +1,20 @@
 """The learning rate of each step. How it falls is a registered function."""
 
 import math
+from typing import Any
+
+from torch import nn
 
 from qnerf.config.registry import Registry
 from qnerf.config.settings import Schedule
 
 SCHEDULES: "Registry[float]" = Registry("train.schedule")
 """Functions of the rate before the fall, the rate after it, and how much of it has passed, from 0 to 1: the rate."""
+
+
+def paced(model: nn.Module) -> list[Any]:
+    """The parts that read how much of the training is done: their `progress`, from 0 to 1."""
+    return [part for part in model.modules() if hasattr(type(part), "progress")]
 
 
 def falls_from(train: Schedule) -> int:

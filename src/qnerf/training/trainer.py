@@ -22,7 +22,7 @@ from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
 from qnerf.training.error_map import ErrorMap
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients
-from qnerf.training.schedules import falls_from, learning_rate
+from qnerf.training.schedules import falls_from, learning_rate, paced
 from qnerf.training.state_checks import check_shapes, first_non_finite
 from qnerf.training.stopping import Plateau
 from qnerf.training.terms import LOSSES, Step, weights_of
@@ -83,6 +83,7 @@ class Loop:
         device = settings.torch_device
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
         self.optimiser = build_optimiser(groups, self.train)
+        self.paced = paced(model)
         self.few_products = device.type == "cpu" and few_products(model, self.points_a_step)
         self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
@@ -94,7 +95,8 @@ class Loop:
     def _set_step(self, step: int) -> None:
         """Everything that is a function of the step, so that a resumed run has it too."""
         self.step = step
-        self.model.encoder.progress = step / self.train.steps
+        for part in self.paced:
+            part.progress = step / self.train.steps
         self.rate = learning_rate(step, self.train)
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate * getattr(self.train.rates, group["name"])
