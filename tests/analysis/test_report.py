@@ -219,11 +219,3 @@ def test_a_store_without_a_finished_run_has_a_page_that_says_so(tmp_path):
     assert "no finished runs among 1" in text
     assert "No pictures: packed runs" in text
     assert "No run has logged" in text
-
-
-def test_mistakes_are_one_line(store, tmp_path):
-    with pytest.raises(ValueError, match="no runs found"):
-        main([str(tmp_path)])
-    with pytest.raises(ValueError, match="qcolour"):
-        main([str(store), "--filter", "field=qcolour", "--out", str(tmp_path)])
-    assert list(tmp_path.iterdir()) == []

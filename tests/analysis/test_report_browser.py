@@ -38,10 +38,6 @@ def page(browser, report):
     assert browser.errors() == []
 
 
-def test_report_asks_nothing_from_the_network_and_nothing_fails(page, report):
-    assert page.requested() == {report}
-
-
 def test_a_click_on_a_heading_sorts(page):
     psnr = page.heads().index("PSNR, dB")
     assert page.one('[aria-sort="descending"]').text == "PSNR, dB"

@@ -60,12 +60,9 @@ def test_sweep_trains_every_combination_and_leaves_out_what_fails(small, tmp_pat
 
 def test_mistakes_are_one_line(small, tmp_path):
     wrong = {
-        "feild=qcolor": "did you mean field",
         "train.step=3": "did you mean train.steps",
-        "field=nonsense": "known: ",
         "seed=0,1": "use qnerf.sweep",
         "hydra/launcher=submitit_local": "for the command line",
-        "train.steps=0": "train.steps must be",
     }
     for override, message in wrong.items():
         with pytest.raises(ValueError, match=message) as caught:

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qnerf.kernels import jit as module
-from qnerf.kernels.jit import jit, loop_threads, one_torch_thread, run, split
+from qnerf.kernels.jit import jit, loop_threads, one_torch_thread, run
 
 SOURCE = Path(module.__file__).parents[2]
 
@@ -23,15 +23,6 @@ SOURCE = Path(module.__file__).parents[2]
 def _square(start, stop, values, out):
     for i in range(start, stop):
         out[i] += values[i] ** 2
-
-
-@given(items=st.integers(0, 1000), parts=st.integers(1, 40))
-def test_split_covers_every_item_once_in_nearly_equal_parts(items, parts):
-    ranges = split(items, parts)
-    assert [i for a, b in ranges for i in range(a, b)] == list(range(items))
-    assert len(ranges) == min(items, parts)
-    sizes = [b - a for a, b in ranges]
-    assert not sizes or max(sizes) - min(sizes) <= 1
 
 
 @settings(max_examples=40)

@@ -79,23 +79,6 @@ def test_initial_angles_follow_the_seed_and_eighth_moves_more_than_uniform() -> 
     assert spread["eighth"] > 1.5 * spread["uniform"]
 
 
-def test_half_precision_inputs_and_autocast() -> None:
-    layer = QuantumLayer(3, 1)
-    x = torch.randn(4, 3)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        assert torch.allclose(layer(x), layer(x.to(torch.bfloat16)), atol=0.05)
-        assert layer(x).dtype == torch.float32
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_cuda_equals_cpu() -> None:
-    for spectral in (1, 2):
-        layer = QuantumLayer(8, spectral).double()
-        x = torch.randn(500, 8, dtype=torch.float64)
-        expected = layer(x)
-        assert torch.allclose(layer.cuda()(x.cuda()).cpu(), expected, atol=1e-12)
-
-
 MISTAKES: list[tuple[tuple[Any, ...], dict[str, Any], str]] = [
     ((0, 1), {}, r"wires must be an integer in 1..1024, got 0"),
     ((21, 4), {}, r"circuit qiren: one state of 21 wires takes 32 MiB"),

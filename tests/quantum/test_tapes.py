@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -55,13 +54,6 @@ def test_random_qnodes_equal_default_qubit(numbers: range) -> None:
             for one, two in zip(own, expected, strict=True):
                 scale = two.abs().max().clamp(min=1).item() if two.numel() else 1
                 torch.testing.assert_close(one, two, rtol=0, atol=1e-12 * scale, msg=f"number {number}")
-
-
-def test_device_is_found_by_its_name() -> None:
-    found = {entry.name: entry.value for entry in entry_points(group="pennylane.plugins")}
-    if "qnerf.fast" not in found:
-        pytest.skip("the package was installed before it had the device")
-    assert isinstance(qml.device("qnerf.fast", wires=2), FastDevice)
 
 
 @pytest.mark.parametrize("method", ["adjoint", "device", "best"])

@@ -340,14 +340,6 @@ def fisheye(folder: Path) -> Scene:
     return build(folder)
 
 
-def test_a_fisheye_s_pixels_are_angles(tmp_path: Path) -> None:
-    folder = write_scene(tmp_path / "scene")
-    change(folder, lambda t: t.update(camera_model="OPENCV_FISHEYE", fl_x=3.0, fl_y=3.0))
-    pixel = torch.tensor([[4 + 3 * np.pi / 4, 3.0]])  # a focal length a radian, from the centre at (4, 3)
-    direction = camera_directions(build(folder).cameras, torch.tensor([0]), pixel)
-    torch.testing.assert_close(direction, torch.tensor([[0.5**0.5, 0, -(0.5**0.5)]], dtype=torch.float64))
-
-
 def test_projection_inverts_a_fisheye_s_rays(tmp_path: Path) -> None:
     cameras = fisheye(write_scene(tmp_path / "scene")).cameras
     views, pixels = torch.arange(6).repeat(30), torch.rand(180, 2, dtype=torch.float64) * torch.tensor([8, 6])
