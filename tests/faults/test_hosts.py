@@ -3,7 +3,6 @@
 import platform
 import time
 from functools import partial
-from pathlib import Path
 
 from qnerf import records
 from qnerf.cli import sweep as sweeps
@@ -16,7 +15,7 @@ from tests.helpers.scenes import write_scene
 SMALL = [*TINY, *MOMENT, "scene=nerfstudio", "train.checkpoint_every=0.02", "threads=1", "run.progress=false"]
 
 
-def other_machine(name: str, ahead: float = 0.0, hangs_at: int = 0) -> None:
+def other_machine(name, ahead=0.0, hangs_at=0):
     """Makes a process one of another machine: a host name, a boot and a clock of its own, and a short heartbeat.
 
     ahead: by how many seconds its clock is. hangs_at: the step that it never ends; 0: none.
@@ -29,7 +28,7 @@ def other_machine(name: str, ahead: float = 0.0, hangs_at: int = 0) -> None:
     RunStore.__init__.__kwdefaults__.update(every=0.2)
     take_step = Trainer.take_step
 
-    def step(self: Trainer, measure: bool) -> dict[str, float]:
+    def step(self, measure):
         while self.step + 1 == hangs_at:
             time.sleep(0.1)
         return take_step(self, measure)
@@ -37,7 +36,7 @@ def other_machine(name: str, ahead: float = 0.0, hangs_at: int = 0) -> None:
     Trainer.take_step = step
 
 
-def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path: Path) -> None:
+def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path):
     """One of three is killed while it trains, and the clock of another one is an hour ahead."""
     store = tmp_path / "runs"
     scene = write_scene(tmp_path / "scene")
