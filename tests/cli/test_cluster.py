@@ -5,8 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -19,7 +17,7 @@ STEPS = 400
 SECONDS = 300  # until a hanging job fails the test
 
 
-def wait(ready: Callable[[], bool], process: subprocess.Popen) -> None:
+def wait(ready, process):
     deadline = time.monotonic() + SECONDS
     while not ready():
         assert process.poll() is None, "the sweep ended before its time"
@@ -27,7 +25,7 @@ def wait(ready: Callable[[], bool], process: subprocess.Popen) -> None:
         time.sleep(0.1)
 
 
-def test_a_requeued_job_goes_on_from_its_checkpoint(tiny_scene: Path, tmp_path: Path) -> None:
+def test_a_requeued_job_goes_on_from_its_checkpoint(tiny_scene, tmp_path):
     store = tmp_path / "runs"
     # No checkpoint by the clock: the one that the job goes on from is that which the signal made it write.
     budget = [f"train.steps={STEPS}", "train.checkpoint_every=1000", "train.rays=8", "train.eval_every=0"]

@@ -75,7 +75,7 @@ def test_mistakes_are_one_line(small, tmp_path):
 
 def test_notebook_bar_is_replaced_not_repeated(small, monkeypatch):
     display = pytest.importorskip("IPython.display", reason="IPython is not installed")
-    shown: list[dict] = []
+    shown = []
 
     class Handle:
         def update(self, data, raw):

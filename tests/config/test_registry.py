@@ -6,7 +6,7 @@ from qnerf.heads import HEADS
 
 @pytest.fixture
 def registry():
-    shapes: Registry[object] = Registry("shape")
+    shapes = Registry("shape")
 
     @shapes.register("circle")
     class Circle:

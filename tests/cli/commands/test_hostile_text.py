@@ -1,7 +1,6 @@
 """Names, tags, notes, errors and configurations that somebody else wrote: shown as they are, never obeyed."""
 
 import json
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -20,7 +19,7 @@ HOSTILE = (
 )
 
 
-def harmless(text: str) -> bool:
+def harmless(text):
     return all(c.isprintable() or c == "\n" for c in text)
 
 
@@ -53,13 +52,13 @@ def test_json_is_ascii_and_strict(value):
     assert harmless(text)
     assert text.isascii()
 
-    def refuse(constant: str) -> None:
+    def refuse(constant):
         raise AssertionError(constant)
 
     json.loads(text, parse_constant=refuse)
 
 
-def poison(run: Path) -> None:
+def poison(run):
     """The text in every place of a run's folder that a command shows."""
     text = HOSTILE
     (run / "annotations.json").write_text(json.dumps({"tags": [text, "fine"], "note": f"{text}\n{text}"}))

@@ -1,7 +1,6 @@
 import errno
 import os
 from argparse import Namespace
-from pathlib import Path
 
 import pytest
 
@@ -23,11 +22,11 @@ class Terminal:
         return self.answer
 
 
-def names(store: Path) -> list[str]:
+def names(store):
     return [path.name[-4:] for path in runs(store)]
 
 
-def whole(store: Path, *ends: str) -> list[str]:
+def whole(store, *ends):
     """The ids of the runs that end so."""
     return [path.name for end in ends for path in runs(store) if path.name.endswith(end)]
 
@@ -114,7 +113,7 @@ def test_the_next_one_finishes_what_a_killed_one_began(make):
 def test_a_full_disk_does_not_keep_runs_from_being_deleted(make, monkeypatch):
     run = make("a")
 
-    def full(*_: object) -> None:
+    def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(owner, "create", full)

@@ -9,7 +9,7 @@ from qnerf.cli.table import Column, fitting
 from qnerf.cli.text import age, count, duration
 
 
-def ids(done) -> list[str]:
+def ids(done):
     """Last letters of the ids, in the order of the table."""
     return [line.split()[0][-1] for line in done.out.splitlines()[1:]]
 
