@@ -13,7 +13,7 @@ from qnerf.geometry import rays
 from qnerf.geometry.bounds import bounds_of, described_bounds, misfit
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.geometry.rays import RayTable, camera_directions, camera_rays, project
-from qnerf.scenes import Cameras, Scene
+from qnerf.scenes import Cameras
 from qnerf.scenes.lens import _distort, distort
 from tests.helpers import worlds
 
@@ -21,7 +21,7 @@ IDENTITY = torch.eye(4, dtype=torch.float64)[:3]
 FOX = torch.tensor([0.0578421, -0.0805099, -0.000980296, 0.00015575], dtype=torch.float64)
 
 
-def cameras(views: int = 5, width: int = 7, height: int = 9, per_view: bool = False) -> Cameras:
+def cameras(views=5, width=7, height=9, per_view=False):
     change = torch.rand(views, generator=torch.Generator().manual_seed(views), dtype=torch.float64) * per_view
     return dataclasses.replace(
         worlds.cameras(worlds.ring(views, radius=3.0), width, height),
@@ -33,7 +33,7 @@ def cameras(views: int = 5, width: int = 7, height: int = 9, per_view: bool = Fa
     )
 
 
-def scene(cams: Cameras, channels: int = 3, **options) -> Scene:
+def scene(cams, channels=3, **options):
     size = len(cams), cams.height, cams.width, channels
     images = torch.randint(0, 256, size, generator=torch.Generator().manual_seed(1)).to(torch.uint8)
     return worlds.scene(images, cams, **options)
@@ -215,7 +215,7 @@ def test_bounds_in_the_wrong_order_are_refused():
             RayTable(scene(cameras()), near=near, far=far)
 
 
-def test_rays_computed_in_parts_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rays_computed_in_parts_are_the_same(monkeypatch):
     scene = worlds.ball(views=4, size=32)
     whole = rays.RayTable(scene, validation_stride=7)
     monkeypatch.setattr(rays, "PART", 96)

@@ -9,7 +9,7 @@ from qnerf.kernels import plain
 from qnerf.types import Rays, Samples
 
 
-def along(dtype: torch.dtype, longest: float) -> tuple[Rays, Samples]:
+def along(dtype, longest):
     """Rays with intervals from 1e-3 to `longest` world units; one ray is not a number."""
     generator = torch.Generator().manual_seed(0)
     rays, samples = 70, 37

@@ -151,7 +151,7 @@ def test_strided_and_expanded_tensors():
     assert torch.equal(leaf.grad.transpose(1, 2), whole.grad)
 
 
-WRONG: list[tuple[str, dict[str, torch.Tensor]]] = [
+WRONG = [
     (r"points must be \(N, 3\)", {"points": torch.zeros(4, 2)}),
     ("power of two", {"table": torch.zeros(2, 6, 1)}),
     ("power of two", {"table": torch.zeros(2, 1, 1)}),

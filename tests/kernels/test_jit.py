@@ -138,7 +138,7 @@ def test_numba_that_may_not_compile_is_refused_in_words():
     assert "ValueError: NUMBA_DISABLE_JIT: expected to be unset" in result.stderr
 
 
-def _python(code: str, *folders: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def _python(code, *folders, **environment):
     paths = os.pathsep.join(str(folder) for folder in (SOURCE, *folders))
     variables = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
     variables |= {"PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1", **environment}
@@ -146,7 +146,7 @@ def _python(code: str, *folders: Path, **environment: str) -> subprocess.Complet
 
 
 def test_loops_keep_their_threads_where_pytorch_has_one():
-    def counts() -> tuple[int, int]:
+    def counts():
         return torch.get_num_threads(), loop_threads()
 
     torch.set_num_threads(3)

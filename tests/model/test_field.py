@@ -65,7 +65,7 @@ def test_a_view_without_an_embedding_gets_the_mean_of_the_trained_ones(field, po
     torch.testing.assert_close(unknown, mean)
 
 
-def masked(field, grid) -> list[torch.Tensor]:
+def masked(field, grid):
     """Density, geometry, the rendering on last_sample and on white, and the gradients of both, with the mask."""
     generator = torch.Generator().manual_seed(2)
     edges = torch.rand(6, 9, dtype=torch.float64, generator=generator).mul(4).sort(-1).values

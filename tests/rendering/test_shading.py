@@ -14,7 +14,7 @@ from tests.helpers.configs import TINY
 from tests.helpers.trainer import built
 
 
-def along(count: int, samples: int, seed: int) -> torch.Tensor:
+def along(count, samples, seed):
     """Weights of rays, some of them empty."""
     generator = torch.Generator().manual_seed(seed)
     s = torch.rand(count, samples + 1, dtype=torch.float64, generator=generator).sort(-1).values
@@ -28,7 +28,6 @@ def test_a_head_gets_two_samples_where_one_ray_alone_meets_something():
     share, evaluated = torch.zeros(8, 5), torch.zeros(8, 5, dtype=torch.bool)
     share[3, 2], evaluated[3, 1:3] = 1.0, True
     mask = SHADINGS.build("merge")(share, torch.zeros(8, 5, 1), evaluated).mask
-    assert mask is not None
     assert int(mask.sum()) >= 2
 
 
