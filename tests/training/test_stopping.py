@@ -18,7 +18,7 @@ from qnerf.training.stopping import Plateau
 psnrs = st.lists(st.floats(0, 50), max_size=30)
 
 
-def fed(values, patience=3, least=0.1, every=10) -> Plateau:
+def fed(values, patience=3, least=0.1, every=10):
     plateau = Plateau(every, patience, least)
     for value in values:
         plateau.add(value)
@@ -93,7 +93,7 @@ def test_a_program_of_somebody_s_own_is_interrupted_and_not_ended(monkeypatch):
     monkeypatch.setattr(stop_requests, "GRACE", 0.0)
     said = [None, None, "stopped at step 3"]
 
-    def waits() -> None:
+    def waits():
         with stop_requests.stop_requests(lambda: said.pop(0)) as stops:
             os.kill(os.getpid(), signal.SIGTERM)
             for _ in range(6000):

@@ -31,7 +31,7 @@ def test_normals_of_points_on_a_ball_are_its_radii():
     assert (cloud.normals * cloud.points).sum(1).min() > 0.95
 
 
-def read(content: bytes):
+def read(content):
     """A PLY file as trimesh reads it."""
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     return trimesh.load(io.BytesIO(content), file_type="ply", process=False)

@@ -17,7 +17,7 @@ from qnerf.viewing import video
 from qnerf.viewing.frames import Renderer
 
 
-def pictures(count: int = 4, width: int = 6, height: int = 4):
+def pictures(count=4, width=6, height=4):
     for number in range(count):
         yield np.full((height, width, 3), 40 * number, np.uint8)
 

@@ -30,11 +30,11 @@ DEADLINE = 60.0  # seconds, for a busy machine
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=900,700")
 
 
-def camera(trained, view: int = 0, width: int = 12) -> Camera:
+def camera(trained, view=0, width=12):
     return Camera(trained.scene.cameras.poses[view].numpy(), 8.0 * width / 12, width, width * 2 // 3)
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return listener.getsockname()[1]
@@ -207,7 +207,7 @@ def browse(tmp_path):
 
     with chromium(tmp_path / "browser", *WEBGL) as driver:
 
-        def opened(viewer: Viewer) -> Page:
+        def opened(viewer):
             page = Page(driver, viewer.address)
             viewer.cameras.value = False
             return page
