@@ -1,7 +1,6 @@
 """`qnerf run` in this process, as a user calls it."""
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import pytest
@@ -16,9 +15,6 @@ class Done:
     code: int
     out: str
     err: str
-
-
-Qnerf = Callable[..., Done]
 
 
 @pytest.fixture

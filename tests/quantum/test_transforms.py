@@ -13,7 +13,6 @@ from qnerf.quantum.layer import QuantumLayer
 from tests.quantum.test_any_circuit import MIXED
 
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # PyTorch's own, for derivatives
-Layers = tuple[QuantumLayer, QuantumLayer]
 
 
 @pytest.fixture(params=["lightcone", "statevector", "any"])

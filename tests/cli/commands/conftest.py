@@ -1,8 +1,6 @@
 """A store with a run of every kind, and the commands called as the command line calls them."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,9 +39,6 @@ def write(run, steps=40, psnr=20.0):
     run.write_eval([{"image": f"view{i}.png", "psnr": psnr + i, "ssim": 0.5} for i in range(2)])
     run.write_summary({"params.total": 1234, "params.density": 200, "params.color": 34, "time.field_ms": 1.5})
     run.save_image("view0", np.zeros((2, 3, 3), np.uint8))
-
-
-Make = Callable[..., Path]
 
 
 @pytest.fixture
@@ -101,9 +96,6 @@ class Done(CommandDone):
     @property
     def json(self) -> Any:
         return json.loads(self.out)
-
-
-Call = Callable[..., Done]
 
 
 @pytest.fixture
