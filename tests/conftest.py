@@ -5,9 +5,6 @@ import os
 os.environ["OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does: before PyTorch
 
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import Any
 
 import hypothesis
 import pytest
@@ -71,14 +68,14 @@ SLOW = (
 """Beginnings of the ids, below tests/, of tests that take seconds, setup included, or that are many and train."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     for item in items:
         if item.nodeid.removeprefix("tests/").startswith(SLOW):
             item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture
-def signals() -> Iterator[None]:
+def signals():
     """SIGINT and SIGHUP act as in a terminal, also where the tests were started with `nohup` or in the background."""
     usual = {"SIGINT": signal.default_int_handler, "SIGHUP": signal.SIG_DFL}
     kinds = {getattr(signal, name): action for name, action in usual.items() if hasattr(signal, name)}
@@ -91,20 +88,20 @@ def signals() -> Iterator[None]:
 
 
 @pytest.fixture
-def config() -> Callable[..., dict[str, Any]]:
+def config():
     return composed
 
 
 @pytest.fixture
-def tiny_scene(tmp_path: Path) -> Path:
+def tiny_scene(tmp_path):
     return write_scene(tmp_path / "scene")
 
 
 @pytest.fixture
-def tiny(tiny_scene: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
+def tiny(tiny_scene, tmp_path):
     """A configuration that trains in a moment: `tiny("field=qboth")`."""
 
-    def make(*overrides: str, sampler: Sequence[str] = TINY) -> dict[str, Any]:
+    def make(*overrides, sampler=TINY):
         chosen = [item.split("=")[0] for item in overrides]
         scene = [] if "scene" in chosen else ["scene=nerfstudio", f"scene.path={tiny_scene}"]
         small = () if "sampler" in chosen else sampler
@@ -114,7 +111,7 @@ def tiny(tiny_scene: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
 
 
 @pytest.fixture(autouse=True)
-def _threads_and_seed() -> Iterator[None]:
+def _threads_and_seed():
     before = torch.get_num_threads()
     torch.set_num_threads(min(2, before))
     torch.manual_seed(0)

@@ -7,7 +7,7 @@ so this is a program of its own. It ends with "done".
 """
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
@@ -41,7 +41,7 @@ class OnDevice(TorchFunctionMode):
         return function(*args, **kwargs)
 
 
-def moved(module: nn.Module) -> nn.Module:
+def moved(module):
     """The module with its parameters and buffers on the device."""
     for part in module.modules():
         for name, parameter in part._parameters.items():
@@ -53,14 +53,14 @@ def moved(module: nn.Module) -> nn.Module:
     return module
 
 
-def on_device(value: Any) -> Any:
+def on_device(value):
     """A dataclass of tensors on the device."""
     if is_dataclass(value) and not isinstance(value, type):
         return replace(value, **{field.name: on_device(getattr(value, field.name)) for field in fields(value)})
     return value.detach().to(DEVICE) if torch.is_tensor(value) else value
 
 
-def check(name: str, outputs: Iterable[Tensor], inputs: Iterable[Tensor]) -> None:
+def check(name, outputs, inputs):
     """Differentiates the sum of the outputs: everything is on the device."""
     outputs, inputs = list(outputs), list(inputs)
     gradients = torch.autograd.grad(torch.stack([out.sum() for out in outputs]).sum(), inputs, allow_unused=True)
@@ -69,7 +69,7 @@ def check(name: str, outputs: Iterable[Tensor], inputs: Iterable[Tensor]) -> Non
     print(name)
 
 
-def main() -> None:
+def main():
     _setup_privateuseone_for_python_backend(DEVICE)
     getattr(torch, DEVICE).get_amp_supported_dtype = lambda: [torch.float16]  # which torch.autocast asks for
     torch.set_num_threads(1)
@@ -89,7 +89,7 @@ def main() -> None:
     print("done")
 
 
-def step(options: str) -> None:
+def step(options):
     """A training step as the trainer takes it: its rays, its terms, and backward.
 
     A number that is read, or a shape that depends on values, is an error of fake tensors.

@@ -8,14 +8,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from tests.helpers.configs import ROOT
 
 
-def start(module: str, *arguments: str, **options: Any) -> "subprocess.Popen[str]":
+def start(module, *arguments, **options):
     """`python -m tests.helpers.<module> ARGUMENTS`, on one thread, with this checkout's package; `options` of Popen."""
     path = os.pathsep.join([str(ROOT), str(ROOT / "src"), *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.Popen(
@@ -65,7 +64,7 @@ class Forked:
         """What it writes until it ends."""
         texts = ["", ""]
 
-        def read(number: int, stream: IO[str]) -> None:
+        def read(number, stream):
             texts[number] = stream.read()
 
         readers = [threading.Thread(target=read, args=pair) for pair in enumerate((self.stdout, self.stderr))]
@@ -86,7 +85,7 @@ class Forked:
             stream.close()
 
 
-def call(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+def call(*arguments, **options):
     """What `qnerf ARGUMENTS` wrote and how it ended; `options` of `Forked`."""
     process = Forked(*arguments, **options)
     try:
@@ -96,19 +95,12 @@ def call(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
         process.close()
 
 
-def _text(end: Connection) -> IO[str]:
+def _text(end):
     with end:
         return open(os.dup(end.fileno()))
 
 
-def _command(
-    arguments: tuple[str, ...],
-    out: Connection,
-    err: Connection,
-    cwd: Path,
-    env: dict[str, str],
-    before: Callable[[], Any],
-) -> None:
+def _command(arguments, out, err, cwd, env, before):
     os.setsid()
     for number, end in ((1, out), (2, err)):
         os.dup2(end.fileno(), number)

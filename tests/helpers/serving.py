@@ -15,10 +15,10 @@ from qnerf.analysis.serve.__main__ import make, parser
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
 
-TOKENS: dict[int, str] = {}  # port -> token
+TOKENS = {}  # port -> token
 
 
-def cookie(address: str) -> dict[str, str]:
+def cookie(address):
     """The header with which a browser that has opened the printed address asks."""
     port = urllib.parse.urlsplit(address).port
     return {"Cookie": f"qnerf_token_{port}={TOKENS[port]}"}

@@ -1,7 +1,6 @@
 """Trainings that are stopped at a step."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,11 +29,11 @@ class StopsWhen(experiment.Display):
         return self.condition()
 
 
-def interrupted(config: dict[str, Any], step: int, error: BaseException | None = None) -> Path:
+def interrupted(config, step, error=None):
     """The run of a training that ends by an error, default: Ctrl-C, after this step and before it is saved."""
     error = error or KeyboardInterrupt()
 
-    def fail() -> None:
+    def fail():
         raise error
 
     with pytest.raises(type(error)):

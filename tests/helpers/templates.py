@@ -16,31 +16,31 @@ class Template(NamedTuple):
     queue: Callable[[Any, Any], Any]
 
 
-def encoded(inputs: Any, wires: int) -> None:
+def encoded(inputs, wires):
     qml.AngleEmbedding(inputs, wires=range(wires), rotation="Y")
 
 
-def after_encoding(wires: int, shape: tuple[int, ...], queue: Callable[[Any], Any]) -> Template:
+def after_encoding(wires, shape, queue):
     """A template without features of its own: it follows an AngleEmbedding."""
 
-    def both(inputs: Any, w: Any) -> None:
+    def both(inputs, w):
         encoded(inputs, wires)
         queue(w)
 
     return Template(wires, wires, shape, both)
 
 
-def before_encoding(wires: int, queue: Callable[[], Any]) -> Template:
+def before_encoding(wires, queue):
     """A template that prepares a state: an AngleEmbedding follows."""
 
-    def both(inputs: Any, w: Any) -> None:
+    def both(inputs, w):
         queue()
         encoded(inputs, wires)
 
     return Template(wires, wires, (), both)
 
 
-def _block(weights: Any, wires: Any) -> None:
+def _block(weights, wires):
     qml.RY(weights[0], wires=wires[0])
     qml.RY(weights[1], wires=wires[1])
     qml.CNOT(wires=wires)
@@ -48,7 +48,7 @@ def _block(weights: Any, wires: Any) -> None:
 
 HAMILTONIAN = 0.5 * qml.X(0) @ qml.Z(1) - 0.3 * qml.Y(2) + 0.8 * qml.Z(0)
 
-TEMPLATES: dict[str, Template] = {
+TEMPLATES = {
     "AmplitudeEmbedding": Template(
         3, 5, (), lambda x, w: qml.AmplitudeEmbedding(x, wires=range(3), pad_with=0.25, normalize=True)
     ),

@@ -16,10 +16,7 @@ import random
 import signal
 import sys
 import time
-from collections.abc import Callable
-from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 from qnerf import experiment
 from qnerf.cli import main
@@ -28,26 +25,26 @@ from qnerf.records import RunStore
 SEEDS = 2  # different trainings
 
 
-def forked(job: Callable[..., None], *arguments: Any) -> BaseProcess:
+def forked(job, *arguments):
     process = multiprocessing.get_context("fork").Process(target=job, args=arguments)
     process.start()
     return process
 
 
-def ended(process: BaseProcess) -> int | None:
+def ended(process):
     """The exit code, or minus the signal that ended the process."""
     process.join()
     return process.exitcode
 
 
-def train(config: dict[str, Any]) -> None:
+def train(config):
     outcome = experiment.run(config)
     assert outcome.state == "finished", outcome.message
 
 
-def kills(config: dict[str, Any], root: Path, wanted: int, seed: int) -> None:
+def kills(config, root, wanted, seed):
     """Rows, heartbeats and checkpoints are written fifty times a second, so that kills hit them."""
-    experiment.RunStore = functools.partial(RunStore, every=0.02)  # type: ignore[assignment,misc]
+    experiment.RunStore = functools.partial(RunStore, every=0.02)
     rng = random.Random(seed)
     for number in range(SEEDS):
         whole = config | {"seed": number, "store": str(root / "whole")}
@@ -69,10 +66,10 @@ def kills(config: dict[str, Any], root: Path, wanted: int, seed: int) -> None:
         number += 1
 
 
-def twins(overrides: list[str], root: Path, rounds: int) -> None:
+def twins(overrides, root, rounds):
     os.environ["COLUMNS"] = "1000"  # lines stay whole
 
-    def command(seed: int, start: float) -> None:
+    def command(seed, start):
         output = io.StringIO()
         sys.argv = ["qnerf", "run", *overrides, f"store={root / 'twins'}", f"seed={seed}"]
         try:
