@@ -6,7 +6,6 @@ import os
 import shlex
 import shutil
 import signal
-import time
 
 import numpy as np
 import pytest
@@ -210,11 +209,9 @@ def test_a_command_that_is_ended_leaves_nothing(tmp_path):
     for number, image in enumerate(unlike(8)):
         Image.fromarray(image).resize((1600, 1600)).save(tmp_path / "images" / f"{number}.png")
     process = processes.Forked("capture", str(tmp_path / "images"), "--out", str(tmp_path / "out"))
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob(".out-*/log.txt")) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    processes.wait(lambda: list(tmp_path.glob(".out-*/log.txt")))
     process.send_signal(signal.SIGTERM)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=processes.PATIENCE)
     process.close()
     assert process.returncode == 130, err
     assert "Traceback" not in err

@@ -21,17 +21,11 @@ from qnerf.config import devices
 from qnerf.experiment import Outcome
 from qnerf.records import RunStore, StoreError, read_config, read_metrics, read_summary, runs, state
 from qnerf.training.stop_requests import stop_requests
-from tests.helpers.processes import Forked, call
+from qnerf.training.trainer import Trainer
+from tests.helpers.processes import Forked, call, wait
 from tests.helpers.stores import vanish
 
 posix = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
-
-
-def wait(ready):
-    deadline = time.monotonic() + 300
-    while not ready():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def states(store):
@@ -188,8 +182,10 @@ def test_failures_come_in_the_order_of_the_jobs_without_what_all_have_in_common(
 
 
 def write_often():
-    """So that a training is not over before others see it."""
+    """Slow steps, and rows on the disk at once: a training is not over before others see it."""
     RunStore.__init__.__kwdefaults__["every"] = 0.1
+    take_step = Trainer.take_step
+    Trainer.take_step = lambda self, measure: time.sleep(0.02) or take_step(self, measure)
 
 
 @pytest.fixture

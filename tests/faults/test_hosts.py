@@ -9,7 +9,7 @@ from qnerf.cli import sweep as sweeps
 from qnerf.records import RunStore, owner
 from qnerf.training.trainer import Trainer
 from tests.helpers.configs import MOMENT, TINY
-from tests.helpers.processes import Forked
+from tests.helpers.processes import PATIENCE, Forked, wait
 from tests.helpers.scenes import write_scene
 
 SMALL = [*TINY, *MOMENT, "scene=nerfstudio", "train.checkpoint_every=0.02", "threads=1", "run.progress=false"]
@@ -45,17 +45,15 @@ def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path):
     killed = start(before=partial(other_machine, "killed", hangs_at=20))
     others = []
     try:
-        while not any(records.read_metrics(run)["step"].max() == 19 for run in records.runs(store)):
-            time.sleep(0.05)
+        wait(lambda: any(records.read_metrics(run)["step"].max() == 19 for run in records.runs(store)))
         (dead,) = records.runs(store)
         others = [
             start(before=partial(other_machine, "right")),
             start(before=partial(other_machine, "ahead", 3600.0)),
         ]
-        while len(records.runs(store)) < 3:
-            time.sleep(0.05)
+        wait(lambda: len(records.runs(store)) == 3)
         killed.process.kill()
-        outputs = [other.communicate(timeout=200) for other in others]
+        outputs = [other.communicate(timeout=PATIENCE) for other in others]
     finally:
         for process in (killed, *others):
             process.close()

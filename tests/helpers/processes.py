@@ -7,11 +7,23 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from tests.helpers.configs import ROOT
+
+PATIENCE = 300  # seconds, for a busy machine
+
+
+def wait(ready, process=None):
+    """Returns once `ready()` is true. That it takes too long, or that the process ends before, is a failure."""
+    deadline = time.monotonic() + PATIENCE
+    while not ready():
+        assert process is None or process.poll() is None, "the process ended before its time"
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.02)
 
 
 def start(module, *arguments, **options):

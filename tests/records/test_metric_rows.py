@@ -1,7 +1,6 @@
 """Rows of metrics: logged, flushed, dropped after a checkpoint's step."""
 
 import shutil
-import time
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 
 from qnerf import records
 from qnerf.records import RunStore, StoreError, writer
+from tests.helpers.processes import wait
 from tests.helpers.stores import claimed
 
 
@@ -45,12 +45,7 @@ def test_rows_reach_the_disk_by_themselves(tmp_path):
     run = claimed(RunStore(tmp_path, every=0.02))
     run.log(3, 0.0, {"loss": 1.0})
     before = records.read_status(run.dir)["heartbeat"]
-    end = time.monotonic() + 20
-    while time.monotonic() < end and (
-        len(records.read_metrics(run.dir)) == 0 or records.read_status(run.dir)["heartbeat"] == before
-    ):
-        time.sleep(0.01)
-    assert len(records.read_metrics(run.dir)) == 1
+    wait(lambda: len(records.read_metrics(run.dir)) == 1 and records.read_status(run.dir)["heartbeat"] != before)
     assert records.read_status(run.dir)["step"] == 3
     run.finish()
 

@@ -86,7 +86,8 @@ def test_run_of_another_machine_lives_by_the_clock_of_the_file_system(store_, mo
         with monkeypatch.context() as patch:
             patch.setattr(time, "time", lambda: clock() + ahead)
             assert records.state(run.dir) == ("running" if alive else "interrupted")
-            assert re.search(rf"on other \(last heartbeat {age}|{age + 1} s ago\)", str(owner.describe(run.dir)))
+            said = re.search(r"on other \(last heartbeat (\d+) s ago\)", str(owner.describe(run.dir)))
+            assert age <= int(said[1]) < age + 60
             claim = store_.claim("a", CONFIG)
             assert claim.outcome == ("busy" if alive else "resumed")
     claim.run.finish()

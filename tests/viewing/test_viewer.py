@@ -1,7 +1,9 @@
 """The viewer: its pictures, its render loop, and its server as a browser talks to it."""
 
+import contextlib
 import io
 import math
+import random
 import shutil
 import socket
 import sys
@@ -35,9 +37,12 @@ def camera(trained, view=0, width=12):
 
 
 def free_port():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
+    """Below those that the system deals out itself, so that no other server or browser takes it in between."""
+    while True:
+        port = random.SystemRandom().randrange(20_000, 30_000)
+        with contextlib.suppress(ValueError):
+            require_free("127.0.0.1", port)
+            return port
 
 
 # Pictures
