@@ -336,7 +336,7 @@ def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_pa
         assert list(seeds) == list(TUNING[1:])
         return pd.DataFrame({"psnr": [scores[overrides[-1]][1]] * 2})
 
-    monkeypatch.setattr(tuning, "spaces", lambda record, scene: dict.fromkeys(record.question.candidates, {}))
+    monkeypatch.setattr(tuning, "spaces", lambda record, scene: {key: {} for key in record.question.candidates})
     monkeypatch.setattr(tuning, "searched", searched)
     monkeypatch.setattr(tuning, "trained", again)
     monkeypatch.setattr(tuning, "found", lambda *_: pd.DataFrame({"train_s": [30.0]}))
