@@ -88,9 +88,9 @@ def test_sampled_noise_agrees_with_density_matrices_within_its_standard_error():
         with conditions(layer, noise=noise, method="density") as exact:
             expected = layer(x).detach()
         assert exact.standard_error == 0
-        with conditions(layer, noise=noise, method="sampled", patterns=500) as sampled:
+        with conditions(layer, noise=noise, method="sampled", patterns=200) as sampled:
             off = layer(x).detach() - expected
-        assert 0.001 < sampled.standard_error < 0.02
+        assert 0.001 < sampled.standard_error < 0.03
         assert off.square().mean().sqrt() < 2 * sampled.standard_error  # the outputs share the patterns
         assert (layer(x).detach() - expected).square().mean().sqrt() > 3 * sampled.standard_error
 

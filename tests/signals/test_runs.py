@@ -104,7 +104,6 @@ def task_watch(task):
 
 def test_mistakes_are_one_line():
     for overrides, message in (
-        (["scene.name=photograph"], "scene=photograph needs the group head; choose it with scene=photograph"),
         (["scene=photograph", "scene.name=poster"], "scene=poster"),
         (["scene=photograph", "train=quick", "sampler=proposal"], "train: "),
         (["scene=photograph", "head.activation=relu"], "activation: unknown name 'relu'"),
