@@ -4,15 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from qnerf.analysis.load import runs
-from qnerf.analysis.verdict import (
-    compare,
-    evaluations,
-    judge,
-    over_scenes,
-    verdict,
-    within_of,
-    yuen,
-)
+from qnerf.analysis.verdict import compare, evaluations, judge, over_scenes, verdict, within_of, yuen
 from scipy import stats
 
 from tests.helpers.packed_stores import write_run

@@ -47,10 +47,7 @@ def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path):
     try:
         wait(lambda: any(records.read_metrics(run)["step"].max() == 19 for run in records.runs(store)))
         (dead,) = records.runs(store)
-        others = [
-            start(before=partial(other_machine, "right")),
-            start(before=partial(other_machine, "ahead", 3600.0)),
-        ]
+        others = [start(before=partial(other_machine, "right")), start(before=partial(other_machine, "ahead", 3600.0))]
         wait(lambda: len(records.runs(store)) == 3)
         killed.process.kill()
         outputs = [other.communicate(timeout=PATIENCE) for other in others]

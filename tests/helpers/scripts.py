@@ -14,14 +14,7 @@ from tests.helpers.circuits import SPECIAL
 
 NUMBERS = 6  # of weights, and of features
 UNITARY = np.linalg.qr(np.random.RandomState(0).randn(4, 4))[0]
-LABELS = [
-    [0, 1, 2, 3],
-    [1, 0, 3, 2],
-    [1, 2, 0, 3],
-    [7, 2, 11, 5],
-    ["b", "a", "d", "c"],
-    ["q", 0, "r", -1],
-]
+LABELS = [[0, 1, 2, 3], [1, 0, 3, 2], [1, 2, 0, 3], [7, 2, 11, 5], ["b", "a", "d", "c"], ["q", 0, "r", -1]]
 
 Queue = Callable[[list[Any], list[Any]], Any]
 """Queues an operation with some numbers, which may be one for each sample, on some wires."""

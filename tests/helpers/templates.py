@@ -154,10 +154,7 @@ TEMPLATES = {
     ),
 }
 BASIS = [[1.0, 0.2, 0.3], [0.1, 1.0, 0.4], [0.5, 0.3, 1.0]]
-MPS_STATE = [
-    np.array([[0.0, 0.107], [0.994, 0.0]]),
-    np.array([[0.0, 1.0], [1.0, 0.0]]),
-]
+MPS_STATE = [np.array([[0.0, 0.107], [0.994, 0.0]]), np.array([[0.0, 1.0], [1.0, 0.0]])]
 
 
 def _encoded(wires, shape, queue, starting=False):

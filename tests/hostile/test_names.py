@@ -7,17 +7,7 @@ from qnerf.config.identity import is_unicode
 from qnerf.records import RunStore, annotations, details, find, index
 from tests.helpers.stores import CONFIG, claimed
 
-NAMES = [
-    "-rf",
-    "a b",
-    "new\nline",
-    "\x1b[31mred",
-    "\u202eabc",
-    "$(touch owned)",
-    "ünï-漢字",
-    "x" * 250,
-    "a'\"&<b>",
-]
+NAMES = ["-rf", "a b", "new\nline", "\x1b[31mred", "\u202eabc", "$(touch owned)", "ünï-漢字", "x" * 250, "a'\"&<b>"]
 
 
 def test_folders_of_any_name_are_found_read_and_told(tmp_path):

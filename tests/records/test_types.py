@@ -16,10 +16,7 @@ RUNS = {
         {"seed": 1, "train": {"lr": 0.5, "width": 36}, "scene": {"name": "nerfstudio", "box": [1, 2.5], "crop": True}},
         {"lpips_reason": "no weights", "eval_views": 3, "params.color": 211, "machine": "a"},
     ),
-    "signal": (
-        {"seed": 2, "train": {"lr": 3}, "extra": {"count": 2}},
-        {"psnr_unseen": 7, "stopped": None, "more": 1},
-    ),
+    "signal": ({"seed": 2, "train": {"lr": 3}, "extra": {"count": 2}}, {"psnr_unseen": 7, "stopped": None, "more": 1}),
     "later": ({"seed": 3, "train": {"lr": 2}, "extra": {"count": 0.5}}, {"stopped": "plateau", "more": 0.5}),
 }
 TYPES = {"seed": "int", "train.lr": "float", "train.width": "int", "scene.name": "text", "scene.box": "text"}

@@ -122,16 +122,8 @@ def test_probes_refuse_a_signal_in_one_line(fit):
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        (
-            "targets",
-            lambda y: y[:, 0],
-            r"Photograph.targets: expected .* \(1024, C\), got float64 \(1024,\)",
-        ),
-        (
-            "targets",
-            lambda y: y[:90],
-            r"Photograph.targets: expected .* \(1024, C\), got float64 \(90, 3\)",
-        ),
+        ("targets", lambda y: y[:, 0], r"Photograph.targets: expected .* \(1024, C\), got float64 \(1024,\)"),
+        ("targets", lambda y: y[:90], r"Photograph.targets: expected .* \(1024, C\), got float64 \(90, 3\)"),
         ("targets", lambda y: y.where(y != y[3, 0], torch.nan), "Photograph.targets: expected finite numbers, got"),
         ("targets", lambda y: y.long(), "got int64"),
         ("targets", lambda y: y.numpy(), "got ndarray"),

@@ -37,10 +37,7 @@ def test_printable_text_is_printable_on_one_line_and_short(text, limit):
 
 @given(cells=st.lists(st.text(), min_size=1, max_size=5))
 def test_a_piped_table_has_one_line_a_row_and_one_word_a_cell(cells):
-    columns = [
-        Column("id", lambda row: row["text"]),
-        Column("n", lambda row: str(len(row["text"])), right=True),
-    ]
+    columns = [Column("id", lambda row: row["text"]), Column("n", lambda row: str(len(row["text"])), right=True)]
     lines = list(plain_lines(columns, [{"text": text} for text in cells]))
     assert len(lines) == len(cells) + 1
     assert all(line.isprintable() and len(line.split()) == 2 for line in lines)
