@@ -98,7 +98,7 @@ def test_columns_and_logged_keys_have_their_metrics():
         assert (metric.heading, metric.text(21.5)) == (heading, text)
 
 
-def test_signs_and_thousands():
+def test_metrics_write_signs_and_thousands():
     assert metric_of("psnr").text(0.5, sign="+") == "+0.50"
     assert metric_of("params.total").text(1_055_947) == "1,055,947"
     assert [metric_of(key).sign for key in ("psnr", "lpips", "params.total")] == [1, -1, 1]

@@ -358,7 +358,7 @@ def test_scenes_are_named_by_their_folders(trainings, tmp_path):
         decide.main([*question, "--scene", "scene.path=other/fern"])
 
 
-def test_mistakes_are_named(tmp_path, capsys):
+def test_decide_names_mistakes_of_candidates_scenes_and_times(tmp_path, capsys):
     with pytest.raises(ValueError, match="expected at least two candidates, each once, got field=qcolor"):
         decide.main(["field=qcolor"])
     with pytest.raises(ValueError, match=r"^density=mlp: the same configuration as field=qcolor; leave one out"):

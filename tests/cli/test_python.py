@@ -58,7 +58,7 @@ def test_sweep_trains_every_combination_and_leaves_out_what_fails(small, tmp_pat
     assert list(listed["run_id"]) == [trained[1].id]
 
 
-def test_mistakes_are_one_line(small, tmp_path):
+def test_run_and_sweep_refuse_mistakes_in_one_line(small, tmp_path):
     wrong = {
         "train.step=3": "did you mean train.steps",
         "seed=0,1": "use qnerf.sweep",

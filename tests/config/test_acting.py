@@ -121,7 +121,7 @@ def test_a_component_that_denies_its_parameters_is_refused(monkeypatch):
         component(CAMERAS, {"name": "se3"}, 2, [0])
 
 
-def test_mistakes_are_one_line():
+def test_a_configuration_with_a_mistake_is_refused_in_one_line():
     for change, message in (
         ({"extra": 1}, "config: unknown option extra; known: appearance"),
         ({"train": {"steps": 3}}, "train: missing lr"),

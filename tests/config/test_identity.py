@@ -53,7 +53,7 @@ def test_pictures_have_names_of_their_own():
         assert picture_names(images) == expected
 
 
-def test_flatten():
+def test_flatten_joins_names_of_groups_by_dots():
     flat = flatten({"a": {"b": {"c": 1}, "d": [1, "x"]}, "e": None, "f": {}, "g": Path("x/y")})
     assert flat == {"a.b.c": 1, "a.d": '[1, "x"]', "e": None, "f": "{}", "g": "x/y"}
 

@@ -95,7 +95,7 @@ def test_known_classes_exist_and_have_the_options_of_the_table():
             assert dispatch._options(kind) == options, path
 
 
-def test_dtypes_devices_and_transformations():
+def test_loops_serve_the_dtypes_devices_and_modules_that_they_know():
     x = torch.zeros(2)
     told = {
         "float16": lambda: serves("hash grid", x.half()),

@@ -164,7 +164,7 @@ WRONG = [
 ]
 
 
-def test_what_does_not_fit_is_one_line():
+def test_hash_grid_refuses_tensors_that_do_not_fit():
     right = {"points": torch.zeros(4, 3), "table": torch.zeros(2, 8, 1), "resolutions": torch.tensor([1, 2])}
     for message, change in WRONG:
         with pytest.raises(ValueError, match=message) as error:

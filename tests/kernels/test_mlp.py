@@ -33,7 +33,7 @@ def case(count, widths, dtype, seed):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @settings(max_examples=40)
 @given(count=st.integers(0, 2500), widths=WIDTHS, seed=st.integers(0, 2**31), first=st.sampled_from([0, 1]))
-def test_values_and_gradients_are_those_of_the_reference(dtype, count, widths, seed, first):
+def test_mlp_has_the_values_and_gradients_of_the_reference(dtype, count, widths, seed, first):
     rows, layers, leaves = case(count, widths, dtype, seed)
     # Of -1, 0 and 1 all values are exact, so that the same units are positive.
     with torch.no_grad():
@@ -64,7 +64,7 @@ def test_a_row_that_is_not_a_number_has_values_that_are_none():
     assert values[[*range(3), *range(4, 200)]].isfinite().all()
 
 
-def test_wrong_shapes_are_refused():
+def test_mlp_refuses_wrong_shapes():
     rows, layers, _ = case(5, [3, 4, 2], torch.float32, 3)
     for wrong in ((rows[:, :2], layers), (rows, layers[1:]), (rows, []), (rows, [layers[0]._replace(bias=rows[0])])):
         with pytest.raises(ValueError, match="features expected, got the shapes"):

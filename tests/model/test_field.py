@@ -25,7 +25,7 @@ def points():
 DIRECTIONS = torch.nn.functional.normalize(torch.arange(15.0).view(5, 3) - 6, dim=-1)
 
 
-def test_shapes_and_ranges(field, points):
+def test_field_values_have_their_shapes_and_ranges(field, points):
     density, color = field(points, DIRECTIONS, torch.arange(5) % 4)
     assert density.shape == (5, 7)
     assert color.shape == (5, 7, 3)

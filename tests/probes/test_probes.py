@@ -200,7 +200,7 @@ def test_units_of_circuits_are_their_measured_values(quantum_run):
     assert (circuits["units"] == 2).all()
 
 
-def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
+def test_probe_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
     assert set(probe_command.PROBES) == set(PROBES)
     path = shutil.copytree(
         quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["units.parquet", "spectrum.parquet"]

@@ -110,7 +110,7 @@ def test_environment_is_that_of_the_first_start(store_):
     run.finish()
 
 
-def test_images_and_texts(store_):
+def test_pictures_and_lines_of_the_log_are_stored(store_):
     run = claimed(store_)
     picture = np.random.default_rng(0).integers(0, 255, (4, 5, 3), dtype=np.uint8)
     run.save_image("view_000", picture)

@@ -15,7 +15,7 @@ from tests.helpers.processes import wait
 from tests.helpers.stores import claimed
 
 
-def test_log_and_read(store_):
+def test_metric_rows_are_read_as_they_were_logged(store_):
     run = claimed(store_)
     for step in range(5):
         run.log(step, 0.5 * step, {"loss": 1 / (step + 1), "psnr": float("nan") if step == 2 else step})
@@ -50,7 +50,7 @@ def test_rows_reach_the_disk_by_themselves(tmp_path):
     run.finish()
 
 
-def test_parts_close_and_stay(store_, monkeypatch):
+def test_metric_parts_close_and_stay(store_, monkeypatch):
     monkeypatch.setattr(writer, "PART_ROWS", 10)
     run = claimed(store_)
     for step in range(13):

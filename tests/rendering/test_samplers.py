@@ -51,7 +51,7 @@ def test_samples_have_the_dtype_of_the_rays_and_no_gradient():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_generator_decides(name):
+def test_jitter_of_a_sampler_follows_its_generator(name):
     sampler, rays = make(name), make_rays()
 
     def edges(seed):
@@ -145,7 +145,7 @@ BAD = {
 }
 
 
-def test_bad_options_are_refused():
+def test_samplers_refuse_bad_options():
     for message, (name, options) in BAD.items():
         with pytest.raises(ValueError, match=message):
             make(name, **options)

@@ -79,7 +79,7 @@ def test_fingerprint_depends_on_what_decides_the_numbers(folder):
     assert len(seen) == 11
 
 
-def test_how_it_is_written_does_not(folder):
+def test_fingerprint_does_not_depend_on_how_the_file_is_written(folder):
     def spell(content):
         for frame in content["frames"]:
             frame.update(k1=content["k1"], k2=0, fl_x=4.5, fl_y=4.25, file_path="./" + frame["file_path"])
@@ -90,7 +90,7 @@ def test_how_it_is_written_does_not(folder):
     assert edited(folder, spell) == build(folder).fingerprint
 
 
-def test_equal_on_every_processor_and_number_of_threads(tmp_path):
+def test_fingerprint_is_equal_on_every_processor_and_number_of_threads(tmp_path):
     """Of a scene whose rotations no machine stores exactly."""
     turns = Rotation.random(12, random_state=0).as_matrix().round(6)
     centres = np.random.default_rng(0).normal(size=(12, 3)).round(6)

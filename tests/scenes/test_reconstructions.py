@@ -114,7 +114,7 @@ def test_sparse_points_are_read_with_the_views_that_see_them(tmp_path):
         refused("colmap", folder, "damaged or cut short", points=True)
 
 
-def test_smaller_images_stand_in(posed):
+def test_reconstructions_take_smaller_images(posed):
     expected = build("nerfstudio", posed)
     write_text(posed)
     write_llff(posed, factor=4, from_text=posed / "sparse/0")
@@ -137,7 +137,7 @@ def test_photographs_may_lie_in_the_scene_s_folder_itself(posed):
     assert len(build("colmap", posed, skip_missing=True).names) == VIEWS - 1
 
 
-def test_camera_models(posed):
+def test_camera_models_of_colmap_are_read_or_refused(posed):
     place = write_text(posed)
     for model, lens in (
         ("SIMPLE_PINHOLE 16 12 9 8 6", [9, 9, 8, 6, 0, 0, 0, 0]),

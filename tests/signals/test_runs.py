@@ -102,7 +102,7 @@ def task_watch(task):
     return Stopwatch(torch.device("cpu"), task.model, QuantumLayer)
 
 
-def test_mistakes_are_one_line():
+def test_configurations_of_signals_with_a_mistake_are_refused():
     for overrides, message in (
         (["scene=photograph", "scene.name=poster"], "scene=poster"),
         (["scene=photograph", "train=quick", "sampler=proposal"], "train: "),

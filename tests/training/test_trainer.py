@@ -191,7 +191,7 @@ def test_only_steps_that_need_the_interlevel_loss_compute_it(tiny):
     assert [("interlevel" in found) for found in given] == [True] * 10 + [False] * 3 + [True]
 
 
-def test_which_steps_are_small(tiny):
+def test_steps_are_small_where_products_are_few(tiny):
     for overrides, few in (
         (["field=qcolor"], True),
         (["field=qcolor", "qiren.method=pennylane"], False),

@@ -48,7 +48,7 @@ def test_a_ply_file_is_what_others_read():
     np.testing.assert_array_equal(np.stack([data[name] for name in ("nx", "ny", "nz")], axis=1), normals)
 
 
-def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_run, trained, tmp_path, capsys):
+def test_export_writes_points_in_the_coordinates_of_transforms_json(tiny_run, trained, tmp_path, capsys):
     out = tmp_path / "out"
     assert main.dispatch("export", [str(tiny_run), "--within", "900", "--out", str(out)]) == 0
     assert "step 3, " in capsys.readouterr().out

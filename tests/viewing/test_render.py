@@ -34,7 +34,7 @@ def test_a_frame_from_a_held_out_camera_is_the_evaluator_s(trained):
     torch.testing.assert_close(mine.depth, theirs.depth)
 
 
-def test_all_formats_hold_all_frames(tmp_path):
+def test_videos_and_folders_hold_all_frames(tmp_path):
     for name in ("a.webp", "frames"):
         video.check(tmp_path / name, 6, 4, 4)
         video.write(tmp_path / name, pictures(), 10)
@@ -77,7 +77,7 @@ def test_a_rendering_that_fails_leaves_nothing(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_writes_videos_of_colour_and_depth(tiny_run, tmp_path, capsys, monkeypatch):
+def test_render_writes_videos_of_colour_and_depth(tiny_run, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for what in ("color", "depth"):
         arguments = [str(tiny_run), "--path", "orbit", "--size", "10x6", "--frames", "2", "--what", what]
@@ -124,7 +124,7 @@ def test_a_path_from_a_file_renders_what_it_says(tiny_run, trained, tmp_path):
     assert np.abs(mine.astype(int) - picture[::factor, 12 * factor : 24 * factor : factor]).max() <= 1
 
 
-def test_a_mistake_is_one_line_and_nothing_is_written(tiny_run, tmp_path, monkeypatch, capsys):
+def test_render_refuses_mistakes_in_one_line_and_writes_nothing(tiny_run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for line, message in {
         "--path circle": "--path: expected orbit, spiral, interpolate or a file",
@@ -137,7 +137,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(tiny_run, tmp_path, monkey
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_knows_every_path():
+def test_render_knows_every_path():
     assert set(render.NAMES) == set(PATHS)
 
 

@@ -53,7 +53,7 @@ def test_resume_goes_on_with_a_failed_run(config, tmp_path, resume):
     assert run.name == whole.run_id
 
 
-def test_from_any_folder_and_although_it_was_started_with_force(config, tmp_path, monkeypatch, resume):
+def test_resume_works_from_any_folder_and_after_a_start_with_force(config, tmp_path, monkeypatch, resume):
     """The stored configuration says store=runs and run.force=true: neither counts now."""
     monkeypatch.chdir(tmp_path)
     run = interrupted(config | {"store": "runs", "run": config["run"] | {"force": True}}, 4).resolve()

@@ -31,7 +31,7 @@ def whole(store, *ends):
     return [path.name for end in ends for path in runs(store) if path.name.endswith(end)]
 
 
-def test_yes_deletes_what_is_named(store, qnerf):
+def test_rm_with_yes_deletes_what_is_named(store, qnerf):
     done = qnerf("rm", *whole(store, "aaaa", "cccc"), "--yes")
     assert done.code == 0
     assert "finished" in done.out
