@@ -24,18 +24,13 @@ EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'`&amp;j
 
 
 @pytest.fixture(scope="module")
-def store(trained):
-    return trained
+def frame(trained):
+    return content.prepared(runs(trained))
 
 
 @pytest.fixture(scope="module")
-def frame(store):
-    return content.prepared(runs(store))
-
-
-@pytest.fixture(scope="module")
-def gathered_once(store):
-    return page_content(runs(store), parser().parse_args([str(store), "--title", EVIL]), print)
+def gathered_once(trained):
+    return page_content(runs(trained), parser().parse_args([str(trained), "--title", EVIL]), print)
 
 
 @pytest.fixture(scope="module")

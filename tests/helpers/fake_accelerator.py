@@ -9,7 +9,6 @@ so this is a program of its own. It ends with "done".
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import torch
@@ -51,13 +50,6 @@ def moved(module):
             if buffer is not None:
                 part._buffers[name] = buffer.detach().to(DEVICE)
     return module
-
-
-def on_device(value):
-    """A dataclass of tensors on the device."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{field.name: on_device(getattr(value, field.name)) for field in fields(value)})
-    return value.detach().to(DEVICE) if torch.is_tensor(value) else value
 
 
 def check(name, outputs, inputs):
