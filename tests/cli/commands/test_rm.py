@@ -1,6 +1,7 @@
 import errno
 import os
 from argparse import Namespace
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,17 +10,9 @@ from qnerf.records import StoreError, owner, runs
 from qnerf.records.deletion import delete_run
 
 
-class Terminal:
+def somebody(answer):
     """Standard input with somebody at it who answers."""
-
-    def __init__(self, answer: str) -> None:
-        self.answer = answer
-
-    def isatty(self) -> bool:
-        return True
-
-    def readline(self) -> str:
-        return self.answer
+    return SimpleNamespace(isatty=lambda: True, readline=lambda: answer)
 
 
 def names(store):
@@ -42,12 +35,12 @@ def test_rm_with_yes_deletes_what_is_named(store, qnerf):
 
 def test_rm_asks_and_does_what_is_answered(store, qnerf, monkeypatch):
     for answer in ("n\n", ""):  # "" is Ctrl-D
-        monkeypatch.setattr("sys.stdin", Terminal(answer))
+        monkeypatch.setattr("sys.stdin", somebody(answer))
         done = qnerf("rm", "aaaa")
         assert (done.code, "nothing deleted" in done.out) == (1, True)
         assert "delete this run for good? [y/N]" in done.out
         assert len(names(store)) == 5
-    monkeypatch.setattr("sys.stdin", Terminal("y\n"))
+    monkeypatch.setattr("sys.stdin", somebody("y\n"))
     assert qnerf("rm", "aaaa", "bbbb").code == 0
     assert len(names(store)) == 3
 
