@@ -1,6 +1,5 @@
 """A run in one dtype computes in no other: every PyTorch operation of a step is seen."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -18,7 +17,7 @@ class Watcher(TorchDispatchMode):
     def __init__(self, dtype: torch.dtype) -> None:
         super().__init__()
         self.known = {dtype, dtype.to_complex()}
-        self.found: set[str] = set()
+        self.found = set()
 
     def __torch_dispatch__(self, function: Any, types: Any, given: Any = (), options: Any = None) -> Any:
         out = function(*given, **(options or {}))
@@ -37,9 +36,7 @@ class Watcher(TorchDispatchMode):
         ("numerics.dtype=float64", "field=qdensity", "encoder=rff", "qiren.qubits=3", "shading=none"),
     ],
 )
-def test_a_step_makes_no_numbers_of_another_dtype(
-    tiny: Callable[..., dict[str, Any]], options: tuple[str, ...]
-) -> None:
+def test_a_step_makes_no_numbers_of_another_dtype(tiny, options):
     """Circuits, random features and angles take float64 in a float32 step, too, on purpose."""
     taken = trainer(tiny(*options, "train.distortion=0.01"))
     taken.take_step(measure=False)
@@ -48,7 +45,7 @@ def test_a_step_makes_no_numbers_of_another_dtype(
     assert not watcher.found
 
 
-def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s() -> None:
+def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s():
     for method in ("statevector", "lightcone"):
         for backend in ("compiled", "torch"):
             layer = QuantumLayer(3, 1, method=method, backend=backend)
