@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from functools import partial
 from itertools import product
 from typing import Any
@@ -24,7 +23,6 @@ from tests.helpers.configs import ROOT
 from tests.helpers.trainer import same, trainer
 
 Config = dict[str, Any]
-Tiny = Callable[..., Config]
 EVERYTHING = ("field=qboth", "qiren=1L2S", "qiren.qubits=4", "cameras=se3", "appearance=2", "train.distortion=0.01")
 CHILD = """
 import json, sys
