@@ -2,11 +2,11 @@
 
 import pytest
 from qnerf.analysis.report.__main__ import main
+from selenium.webdriver.common.keys import Keys
 
 from tests.helpers.browser import chromium
 from tests.helpers.packed_stores import write_run
 
-Keys = pytest.importorskip("selenium.webdriver.common.keys", reason="selenium is not installed").Keys
 ABSENT = "\N{EN DASH}"
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import signal
 
+import imageio_ffmpeg as ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
@@ -17,8 +18,6 @@ from qnerf.cli import main
 from qnerf.scenes import SCENES, folders
 from tests.helpers import processes, worlds
 from tests.helpers.configs import composed
-
-pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
 
 
 def write(folder, *images):
@@ -98,7 +97,6 @@ def test_sources_that_cannot_be_read_are_one_line(tmp_path):
 
 
 def test_a_video_that_does_not_decode_is_one_line(tmp_path):
-    pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     (tmp_path / "walk.mp4").write_bytes(b"no video" * 99)
     with pytest.raises(ValueError, match=r"walk.mp4 does not decode as a video: .") as error:
         capture(tmp_path / "walk.mp4", tmp_path / "out")
@@ -107,7 +105,6 @@ def test_a_video_that_does_not_decode_is_one_line(tmp_path):
 
 
 def test_the_sharpest_frame_of_each_part_of_a_video_is_taken(tmp_path):
-    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     sharp = unlike(1)[0]
     blurred = np.repeat(np.repeat(sharp[8::16, 8::16], 16, axis=0), 16, axis=1)[:120, :160]
     video = ffmpeg.write_frames(str(tmp_path / "walk.mp4"), (160, 112), fps=10)
@@ -125,7 +122,6 @@ def test_the_sharpest_frame_of_each_part_of_a_video_is_taken(tmp_path):
 
 def test_frames_at_uneven_times_are_each_taken_once(tmp_path):
     """As telephones film: three frames within a tenth of a second, then one a second."""
-    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     times = ["-vf", "setpts=max(N/30\\,N-3)/TB", "-fps_mode", "vfr"]
     video = ffmpeg.write_frames(str(tmp_path / "walk.mp4"), (160, 112), fps=30, output_params=times)
     video.send(None)

@@ -5,13 +5,9 @@ import signal
 import subprocess
 import sys
 
-import pytest
-
 from qnerf.records import details, read_metrics, runs, state
 from tests.helpers.configs import ROOT, TINY
 from tests.helpers.processes import PATIENCE, wait
-
-pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason='needs pip install "qnerf[slurm]"')
 
 STEPS = 400
 

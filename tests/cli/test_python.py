@@ -5,6 +5,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
+import IPython.display as display
 import numpy as np
 import pytest
 import torch
@@ -74,7 +75,6 @@ def test_run_and_sweep_refuse_mistakes_in_one_line(small, tmp_path):
 
 
 def test_notebook_bar_is_replaced_not_repeated(small, monkeypatch):
-    display = pytest.importorskip("IPython.display", reason="IPython is not installed")
     shown = []
 
     class Handle:

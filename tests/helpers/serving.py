@@ -1,14 +1,9 @@
-"""`qnerf serve` in a thread; a test module that imports this is skipped where its libraries are missing."""
+"""`qnerf serve` in a thread."""
 
 import contextlib
 import socket
 import threading
 import urllib.parse
-
-import pytest
-
-pytest.importorskip("uvicorn", reason="uvicorn is not installed")
-pytest.importorskip("starlette", reason="starlette is not installed")
 
 from qnerf.analysis.serve.__main__ import make, parser
 

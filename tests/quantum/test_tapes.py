@@ -114,8 +114,6 @@ def test_device_refuses_a_state_that_does_not_fit_into_memory():
 
 def test_device_passes_the_suite_of_pennylane(tmp_path):
     """Of its gates, templates and wires only in long runs: random QNodes have them."""
-    pytest.importorskip("pytest_mock")
-    pytest.importorskip("flaky")
     suite = Path(qml.__file__).parent / "devices" / "tests"
     parts = ("gradients_torch", "gradients_autograd", "measurements", "return_system", "tracker", "properties")
     chosen = [suite] if LONG else [suite / f"test_{part}.py" for part in parts]

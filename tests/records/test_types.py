@@ -60,8 +60,6 @@ def test_store_opens_with_pyarrow_and_pandas(store):
 
 
 def test_store_is_written_and_read_as_documented(store, monkeypatch):
-    for library in ("duckdb", "polars"):
-        pytest.importorskip(library)
     monkeypatch.chdir(store.parent)
     page = (Path(__file__).parents[2] / "docs" / "runs.md").read_text()
     for section in ("Track a loop of your own", "Track a loop of your own", "Read the files yourself"):

@@ -5,6 +5,7 @@ import shutil
 import struct
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -165,7 +166,6 @@ def test_camera_models_of_colmap_are_read_or_refused(posed):
 
 
 def test_the_numbers_and_names_of_camera_models_are_colmap_s():
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     for number, (name, keys) in MODELS.items():
         camera = pycolmap.Camera.create_from_model_id(1, pycolmap.CameraModelId(number), 10.0, 20, 10)
         theirs = camera.params_info.replace("fx", "fl_x").replace("fy", "fl_y").split(", ")
@@ -174,7 +174,6 @@ def test_the_numbers_and_names_of_camera_models_are_colmap_s():
 
 
 def test_a_model_that_pycolmap_wrote(tmp_path):
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     options = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_frames_per_rig=4, num_points3D=20)
     model = pycolmap.synthesize_dataset(options)
     for number, image in model.images.items():

@@ -5,6 +5,7 @@ import shutil
 from functools import partial
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from PIL import Image
@@ -345,7 +346,6 @@ def test_projection_inverts_a_fisheye_s_rays(tmp_path):
 
 
 def test_lenses_are_those_of_colmap(tmp_path):
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     folder = write_scene(tmp_path / "scene")
     pixels = torch.rand(50, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * torch.tensor([8, 6])
     bent = {"camera_model": "OPENCV", "k1": 0.05, "k2": -0.01, "p1": 0.002, "p2": -0.001}

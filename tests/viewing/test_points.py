@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from qnerf.cli import main
 from qnerf.viewing import ply, points
@@ -33,7 +34,6 @@ def test_normals_of_points_on_a_ball_are_its_radii():
 
 def read(content):
     """A PLY file as trimesh reads it."""
-    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     return trimesh.load(io.BytesIO(content), file_type="ply", process=False)
 
 

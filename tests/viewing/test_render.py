@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -49,7 +50,6 @@ def test_videos_and_folders_hold_all_frames(tmp_path):
 
 
 def test_an_mp4_holds_all_frames(tmp_path):
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     video.check(tmp_path / "a.mp4", 6, 4, 4)
     video.write(tmp_path / "a.mp4", pictures(), 10)
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))
@@ -65,8 +65,6 @@ def test_sizes_that_a_format_cannot_hold_are_refused(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.webp", "a.mp4", "frames"])
 def test_a_rendering_that_fails_leaves_nothing(tmp_path, name):
-    if name == "a.mp4":
-        pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
 
     def failing():
         yield from pictures(2)

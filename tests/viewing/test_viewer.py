@@ -133,7 +133,6 @@ def test_a_taken_port_and_a_missing_extra_are_one_line(tiny_run, capsys, monkeyp
 
 @pytest.fixture
 def viewer(ball):
-    pytest.importorskip("viser", reason="viser is not installed")
     served = Viewer(ball, port=free_port(), width=96)
     yield served
     served.stop()
@@ -224,7 +223,6 @@ def browse(tmp_path):
 def test_a_run_that_trains_is_followed_in_a_browser(tmp_path, browse):
     """The run stops after its first step, is opened, and goes on: what it has learnt is seen without a reload, and from
     where the camera moves."""
-    pytest.importorskip("viser", reason="viser is not installed")
     scene = write_scene(tmp_path / "scene", width=12, height=8)
     options = ("train.steps=120", "train.rays=64", "train.eval_every=0", "device=cpu", "hash=C7")
     config = composed("scene=nerfstudio", f"scene.path={scene}", *TINY, *options, f"store={tmp_path / 'runs'}")
