@@ -19,58 +19,40 @@ hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("long", deadline=None, max_examples=2500)
 hypothesis.settings.load_profile(os.environ.get("QNERF_HYPOTHESIS", "suite"))
 
+TRAINS = {"fit", "mixed_store", "quantum_run", "small", "tiny", "tiny_run", "trained"}
+"""Fixtures that train, or whose tests do."""
 SLOW = (
     "analysis/test_figures.py",
-    "analysis/test_figures_of_files.py",
-    "analysis/test_notebooks.py",
     "analysis/test_packed.py",
-    "analysis/test_report.py",
-    "analysis/test_report_browser.py",
     "analysis/test_tables.py",
-    "auto/test_exposure.py",
-    "auto/test_poses.py",
-    "auto/test_resolve.py",
-    "auto/test_rules.py",
-    "auto/test_runs.py",
+    "auto/",
     "capture/",
-    "cli/commands/test_reproduce.py",
-    "cli/commands/test_resume.py",
     "cli/test_cluster.py",
     "cli/test_compose.py::test_a_wrong_command_is_one_line_with_exit_code_2",
     "cli/test_launch.py",
-    "cli/test_python.py",
-    "cli/test_search.py",
     "config/test_acting.py::test_a_random_value_is_taken_or_refused_in_one_line",
     "config/test_conf.py",
     "config/test_plugins.py",
     "docs/test_results.py",
     "faults/",
     "kernels/test_jit.py",
-    "model/test_counts.py",
     "numerics/test_bounds.py::test_hard_cases",
     "numerics/test_circuits_cases.py",
-    "numerics/test_determinism.py",
-    "numerics/test_losses_cases.py",
-    "probes/",
     "records/test_index.py::test_store_that_changes",
-    "scenes/test_fingerprint.py",
-    "signals/test_runs.py",
     "quantum/test_engines.py::test_engines_agree",
     "quantum/test_tapes.py::test_random",
     "quantum/test_tapes.py::test_device_passes",
     "search/",
     "test_devices.py",
     "test_documents.py::test_commands_are_understood",
-    "test_experiment.py",
-    "training/test_trainer.py",
-    "viewing/",
+    "test_examples.py",
 )
 """Beginnings of the ids, below tests/, of tests that take seconds, setup included, or that are many and train."""
 
 
 def pytest_collection_modifyitems(items):
     for item in items:
-        if item.nodeid.removeprefix("tests/").startswith(SLOW):
+        if item.nodeid.removeprefix("tests/").startswith(SLOW) or TRAINS & set(item.fixturenames):
             item.add_marker(pytest.mark.slow)
 
 

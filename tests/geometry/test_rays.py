@@ -8,7 +8,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import qnerf.geometry.rays
 from qnerf.geometry import rays
 from qnerf.geometry.bounds import bounds_of, described_bounds, misfit
 from qnerf.geometry.pose_refinement import CAMERAS
@@ -146,7 +145,7 @@ def test_validation_is_at_most_so_many_pixels_evenly_spread_and_the_same_each_ti
 def test_the_table_and_the_lens_agree(monkeypatch, per_view):
     world = scene(cameras(per_view=per_view))
     kept = RayTable(world, dtype=torch.float64)
-    monkeypatch.setattr(qnerf.geometry.rays, "MAX_TABLE_SIZE", 0)
+    monkeypatch.setattr(rays, "MAX_TABLE_SIZE", 0)
     computed = RayTable(world, dtype=torch.float64)
     assert kept.directions is not None
     assert computed.directions is None

@@ -8,17 +8,8 @@ from qnerf.records import environment
 
 
 def git(root, *arguments):
-    command = [
-        "git",
-        "-c",
-        "user.name=t",
-        "-c",
-        "user.email=t@example.org",
-        "-c",
-        "init.defaultBranch=main",
-        *arguments,
-    ]
-    subprocess.run(command, cwd=root, check=True, capture_output=True)
+    somebody = ["-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "init.defaultBranch=main"]
+    subprocess.run(["git", *somebody, *arguments], cwd=root, check=True, capture_output=True)
 
 
 @pytest.fixture

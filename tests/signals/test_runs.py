@@ -17,8 +17,10 @@ from qnerf.encoders import ENCODERS
 from qnerf.experiment import run
 from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
+from qnerf.quantum import QuantumLayer
 from qnerf.records import details
 from qnerf.signals import Photograph
+from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
 
@@ -96,9 +98,6 @@ def built(config):
 
 
 def task_watch(task):
-    from qnerf.quantum import QuantumLayer
-    from qnerf.timing import Stopwatch
-
     return Stopwatch(torch.device("cpu"), task.model, QuantumLayer)
 
 
