@@ -11,6 +11,8 @@ from qnerf.model import chosen_rows
 from tests.helpers.configs import ROOT, TINY, composed
 from tests.helpers.trainer import trainer
 
+SCENE = ("scene=poster", "scene.views=6")
+
 
 def test_the_layer_and_a_training_step_stay_on_their_device():
     if not hasattr(backend_registration, "_setup_privateuseone_for_python_backend"):
@@ -40,7 +42,7 @@ def test_a_step_of_fixed_shapes_computes_what_one_that_gathers_rows_does(options
 
 
 def test_only_a_measured_step_waits_for_the_device(monkeypatch):
-    taken = trainer(composed("scene=poster", *TINY, "field=classical", "hash=C7", "train.rays=8", "device=cpu"))
+    taken = trainer(composed(*SCENE, *TINY, "field=classical", "hash=C7", "train.rays=8", "device=cpu"))
     taken.watch.device = torch.device("cuda")
     waits = []
     monkeypatch.setattr(torch.accelerator, "synchronize", waits.append)
@@ -60,7 +62,9 @@ def test_a_gpu_has_the_loss_and_gradients_of_the_cpu(field):
 
 def loss_and_gradients(device, *options):
     """Of a step in float64 without jitter, on the CPU; the statistics of normalisations come last."""
-    config = composed("scene=poster", *TINY, *options, "hash=C7", "numerics.dtype=float64", f"device={device}")
+    config = composed(
+        "scene=poster", "scene.views=6", *TINY, *options, "hash=C7", "numerics.dtype=float64", f"device={device}"
+    )
     taken = trainer(config)
     model = taken.model
     rays, pixels = taken.table.batch(taken.table.draw(64, torch.Generator().manual_seed(0)), model.cameras)

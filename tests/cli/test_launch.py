@@ -206,7 +206,7 @@ def start():
 @pytest.mark.usefixtures("signals")
 @pytest.mark.parametrize("how", ["SIGINT", "stdout"])
 def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, small, tmp_path, how):
-    arguments = [*small, "train.steps=500", "train.eval_every=100", "train.eval_views=1", "threads=1"]
+    arguments = [*small, "train.steps=200", "train.eval_every=50", "train.eval_views=1", "threads=1"]
     process = start(*arguments)
     wait(training(tmp_path / "runs"))
     process.stdout.close() if how == "stdout" else process.send_signal(getattr(signal, how))
@@ -220,7 +220,7 @@ def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, 
     assert (run / "checkpoint.pt").is_file()
     if how == "SIGINT":
         assert call("run", *arguments).returncode == 0
-        assert steps(run) == list(range(1, 501))
+        assert steps(run) == list(range(1, 201))
 
 
 @pytest.mark.usefixtures("signals")

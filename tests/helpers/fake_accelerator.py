@@ -87,8 +87,8 @@ def step(options):
     A number that is read, or a shape that depends on values, is an error of fake tensors.
     """
     config = composed(
-        "scene=poster", *TINY, *options.split(), "qiren.qubits=3", "hash=C7", "train.rays=8", "device=cpu",
-        "visibility.cameras=1", "visibility.resolution=16",
+        "scene=poster", "scene.views=6", *TINY, *options.split(), "qiren.qubits=3", "hash=C7", "train.rays=8",
+        "device=cpu", "visibility.cameras=1", "visibility.resolution=16",
     )  # fmt: skip
     trainer = built_trainer(config)
     model, table = trainer.model, trainer.table

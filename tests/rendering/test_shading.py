@@ -35,7 +35,7 @@ def test_a_head_gets_two_samples_where_one_ray_alone_meets_something():
 @pytest.mark.parametrize("shading", SHADINGS.names())
 def test_rays_that_pass_only_empty_space_are_white_under_every_shading(config, shading, field):
     """Then a shading may leave the colour head nothing at all to evaluate."""
-    options = ["visibility.cameras=1", "visibility.resolution=4", "render.background=white"]
+    options = ["scene.views=6", "visibility.cameras=1", "visibility.resolution=4", "render.background=white"]
     _, _, model, table, watch = built(config(f"field={field}", "qiren.qubits=2", f"shading={shading}", *options, *TINY))
     model.eval()
     model.field.mask.grid = torch.zeros_like(model.field.mask.grid)

@@ -203,6 +203,9 @@ def test_steps_are_small_where_products_are_few(tiny):
     assert not few_products(own, 8192)
 
 
+FEW = ("field=classical", "scene.views=6", "visibility.resolution=16")
+
+
 def _first(values):
     """What is computed for the first item alone, which a loop would read past."""
     return values[:1]
@@ -235,7 +238,7 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_a_component_that_returns_the_wrong_thing_is_named_before_a_loop_reads_it(config, case):
     name, wrong, message = WRONG[case]
-    one = trainer(config("field=classical"))
+    one = trainer(config(*FEW))
     module = getattr(one.model.field, name, None) or getattr(one.model, name)
     right = module.forward
     module.forward = lambda *given, **options: wrong(right(*given, **options))
@@ -244,22 +247,22 @@ def test_a_component_that_returns_the_wrong_thing_is_named_before_a_loop_reads_i
 
 
 def test_activations_poses_and_terms_of_the_loss_are_looked_at_too(config):
-    one = trainer(config("field=classical"))
+    one = trainer(config(*FEW))
     one.model.field.color_activation = lambda raw: raw.sigmoid()[:, 0]
     with pytest.raises(ValueError, match=r"what <lambda> returned: expected float32 \(\d+, 3\)"):
         one.take_step(measure=False)
-    one = trainer(config("field=classical", "cameras=se3"))
+    one = trainer(config(*FEW, "cameras=se3"))
     one.model.cameras.poses = lambda indices, poses: poses[:1]
     with pytest.raises(ValueError, match=r"SE3Refinement returned: .* \(256, 3, 4\), got float32 \(1, 3, 4\)"):
         one.take_step(measure=False)
-    one = trainer(config("field=classical"))
+    one = trainer(config(*FEW))
     one.loss_terms = lambda rendering, sampled, target, distances: {"mse": (rendering.color - target).square()}
     with pytest.raises(ValueError, match=r"the loss term 'mse': expected a tensor \(\), got float32 \(256, 3\)"):
         one.take_step(measure=False)
 
 
 def test_a_part_is_idle_until_its_first_gradient(config):
-    one = trainer(config("field=classical"))
+    one = trainer(config(*FEW))
     right = one.model.field.color_head.forward
     one.model.field.color_head.forward = lambda features: right(features).detach()
     one.take_step(measure=False)
