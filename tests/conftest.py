@@ -59,11 +59,10 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture
 def signals():
     """SIGINT and SIGHUP act as in a terminal, also where the tests were started with `nohup` or in the background."""
-    usual = {"SIGINT": signal.default_int_handler, "SIGHUP": signal.SIG_DFL}
-    kinds = {getattr(signal, name): action for name, action in usual.items() if hasattr(signal, name)}
-    ignored = [kind for kind in kinds if signal.getsignal(kind) is signal.SIG_IGN]
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
+    ignored = [kind for kind in usual if signal.getsignal(kind) is signal.SIG_IGN]
     for kind in ignored:
-        signal.signal(kind, kinds[kind])
+        signal.signal(kind, usual[kind])
     yield
     for kind in ignored:
         signal.signal(kind, signal.SIG_IGN)

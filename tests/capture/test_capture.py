@@ -2,7 +2,6 @@
 
 import json
 import multiprocessing
-import os
 import shlex
 import shutil
 import signal
@@ -197,7 +196,6 @@ def test_two_scenes_in_one_folder_and_exposure_that_varies(tmp_path, capsys):
     assert scene.names == [f"images/{number:02d}.png" for number in range(7)]
 
 
-@pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
 @pytest.mark.usefixtures("signals")
 def test_a_command_that_is_ended_leaves_nothing(tmp_path):
     """SIGTERM reaches the command alone, not COLMAP's process."""

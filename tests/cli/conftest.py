@@ -1,5 +1,6 @@
 """`qnerf run` in this process, as a user calls it."""
 
+import json
 import sys
 from dataclasses import dataclass
 
@@ -15,6 +16,10 @@ class Done:
     code: int
     out: str
     err: str
+
+    @property
+    def json(self):
+        return json.loads(self.out)
 
 
 @pytest.fixture

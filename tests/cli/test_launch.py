@@ -25,8 +25,6 @@ from qnerf.training.trainer import Trainer
 from tests.helpers.processes import Forked, call, wait
 from tests.helpers.stores import vanish
 
-posix = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
-
 
 def states(store):
     return sorted(state(path) for path in runs(store))
@@ -202,7 +200,6 @@ def start():
         process.close()
 
 
-@posix
 @pytest.mark.usefixtures("signals")
 @pytest.mark.parametrize("how", ["SIGINT", "stdout"])
 def test_a_training_stops_with_a_checkpoint_and_the_same_command_goes_on(start, small, tmp_path, how):

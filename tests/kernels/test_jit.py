@@ -72,7 +72,6 @@ def test_a_failure_in_any_part_is_raised_after_all_parts_ended(part):
     assert ended == [5 * (1 - part)]
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this platform")
 def test_a_forked_child_starts_threads_of_its_own():
     code = """
 import os, sys, warnings
@@ -122,7 +121,6 @@ def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path):
     assert second.stderr == ""
 
 
-@pytest.mark.skipif(os.name == "nt", reason="folders are made read-only by POSIX permissions")
 def test_kernels_work_where_no_cache_can_be_written(tmp_path):
     (tmp_path / "kernels_for_test.py").write_text(KERNEL)
     # A file where a folder would have to be made stands for read-only folders: root may write into those.

@@ -1,14 +1,11 @@
 """A store with a run of every kind, and the commands called as the command line calls them."""
 
-import json
-from typing import Any
-
 import numpy as np
 import pytest
 
 from qnerf.cli import main
 from qnerf.records import RunStore
-from tests.cli.conftest import Done as CommandDone
+from tests.cli.conftest import Done
 
 ENVIRONMENT = {
     "git": {"commit": "c0ffee", "branch": "main", "dirty": False},
@@ -90,12 +87,6 @@ def running(tmp_path):
     claim.run._write_status()
     with claim.run as run:
         yield run
-
-
-class Done(CommandDone):
-    @property
-    def json(self) -> Any:
-        return json.loads(self.out)
 
 
 @pytest.fixture
