@@ -1,6 +1,4 @@
 import math
-import subprocess
-import sys
 
 import pytest
 from rich.cells import cell_len
@@ -116,13 +114,6 @@ def test_a_run_that_is_running(running, qnerf):
     titles, line = (line.split() for line in qnerf("runs", "state=running").out.splitlines())
     assert dict(zip(titles, line, strict=True))["steps"] == "20/40"
     assert "PSNR" not in titles  # a column that no run fills
-
-
-def test_commands_that_read_import_neither_torch_nor_hydra():
-    modules = ", ".join(f"qnerf.cli.commands.{name}" for name in ["runs", "show", "diff", "tag", "rm", "export"])
-    code = f"import sys, qnerf.cli.main, {modules}; print({{'torch', 'hydra', 'numba'}} & {{*sys.modules}})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
 
 
 def test_columns_that_do_not_fit_go_by_rank():
