@@ -30,8 +30,6 @@ def sweep(folder):
 def mixed(folder):
     """`sweep`, and photographs, a distance and tracked loops beside it in one store."""
     store = folder / "mixed"
-    if store.exists():
-        return store
     shutil.copytree(sweep(folder), store, symlinks=True)
     small = ["train.steps=4", "train.log_every=1", "train.eval_every=2", "train.points=64", "qiren.qubits=2"]
     for scene, size, head, seed in (
