@@ -17,7 +17,6 @@ from qnerf.cli.resolvers import HYDRA
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
 SWEEPS = ROOT / "sweeps"
-DATA = ROOT.parent / "shared" / "data"
 
 TINY = (
     "sampler.samples=[8,6]",

@@ -16,9 +16,6 @@ NUMBERS = 6  # of weights, and of features
 UNITARY = np.linalg.qr(np.random.RandomState(0).randn(4, 4))[0]
 LABELS = [[0, 1, 2, 3], [1, 0, 3, 2], [1, 2, 0, 3], [7, 2, 11, 5], ["b", "a", "d", "c"], ["q", 0, "r", -1]]
 
-Queue = Callable[[list[Any], list[Any]], Any]
-"""Queues an operation with some numbers, which may be one for each sample, on some wires."""
-
 
 class Axis(qml.operation.Operation):
     """An operation whose decomposition reads an attribute."""
@@ -88,6 +85,7 @@ OTHERS = {
     "AngleEmbedding": (2, lambda p, w: qml.AngleEmbedding(torch.stack(p[:2], -1), wires=w[:2], rotation="Y")),
     "IQPEmbedding": (3, lambda p, w: qml.IQPEmbedding(torch.stack(p, -1), wires=w[:3], n_repeats=2)),
 }  # fmt: skip
+"""Name -> number of wires, and what queues the operation, with numbers that may be one for each sample, on wires."""
 
 
 FUNCTIONS = [lambda p: p, lambda p: p, torch.sin, torch.square, lambda p: np.pi * p]

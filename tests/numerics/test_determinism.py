@@ -7,7 +7,6 @@ import subprocess
 import sys
 from functools import partial
 from itertools import product
-from typing import Any
 
 import pytest
 import torch
@@ -22,7 +21,6 @@ from qnerf.types import Samples
 from tests.helpers.configs import ROOT
 from tests.helpers.trainer import same, trainer
 
-Config = dict[str, Any]
 EVERYTHING = ("field=qboth", "qiren=1L2S", "qiren.qubits=4", "cameras=se3", "appearance=2", "train.distortion=0.01")
 CHILD = """
 import json, sys

@@ -1,14 +1,12 @@
 """Every engine against every other and PennyLane, outputs and derivatives."""
 
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from math import pi
 from random import Random
 
 import pytest
 import torch
-from torch import Tensor
 
 from qnerf.quantum import lightcone
 from qnerf.quantum.circuit import ANSATZE, Circuit, Gate, Weights, feature
@@ -19,8 +17,6 @@ from qnerf.quantum.pennylane import make_node
 from qnerf.quantum.program import program
 from qnerf.quantum.statevector import PlainCircuit
 from tests.helpers.circuits import CHUNKS, SPECIAL, derivatives, random_circuit
-
-Function = Callable[[Tensor, Tensor], Tensor]
 
 
 def torch_engine(circuit):

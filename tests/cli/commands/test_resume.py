@@ -1,7 +1,6 @@
 """`qnerf resume`: goes on with what was interrupted, from what is stored, and refuses what would be another run."""
 
 import shutil
-from typing import Any
 
 import pytest
 
@@ -9,8 +8,6 @@ from qnerf import experiment, records
 from qnerf.cli import main
 from qnerf.records import read_metrics, read_status, state, store
 from tests.helpers.stopping import interrupted
-
-Config = dict[str, Any]
 
 
 @pytest.fixture
