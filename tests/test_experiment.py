@@ -259,7 +259,7 @@ def test_a_training_that_takes_too_long_is_refused_with_the_option_that_goes_on(
     notes = []
 
     class Notes(experiment.Display):
-        def note(self, text: str) -> None:
+        def note(self, text):
             notes.append(text)
 
     with pytest.raises(ValueError, match=r"circuits alone: a step takes about .*, more than run.hours=24; run.hours="):

@@ -7,9 +7,7 @@ so this is a program of its own. It ends with "done".
 """
 
 import sys
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -29,9 +27,7 @@ CASES = (("qiren", 1, None), ("qiren", 2, 0.1), ("cnot", 2, None), ("rx", 2, Non
 class OnDevice(TorchFunctionMode):
     """`torch.tensor(values, device=...)` goes by way of the CPU, because the device has no memory."""
 
-    def __torch_function__(
-        self, function: Callable[..., Any], types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
-    ) -> Any:
+    def __torch_function__(self, function, types, args=(), kwargs=None):
         kwargs = dict(kwargs or {})
         if function is torch.tensor and torch.device(kwargs.get("device") or "cpu").type == DEVICE:
             return torch.tensor(*args, **kwargs | {"device": "cpu"}).to(kwargs["device"])

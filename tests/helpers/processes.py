@@ -60,19 +60,19 @@ class Forked:
         self.pid = self.process.pid or 0
 
     @property
-    def returncode(self) -> int | None:
+    def returncode(self):
         return self.process.exitcode
 
-    def send_signal(self, number: int) -> None:
+    def send_signal(self, number):
         os.kill(self.pid, number)
 
-    def wait(self, timeout: float) -> int:
+    def wait(self, timeout):
         self.process.join(timeout)
         if self.returncode is None:
             raise subprocess.TimeoutExpired("qnerf", timeout)
         return self.returncode
 
-    def communicate(self, timeout: float) -> tuple[str, str]:
+    def communicate(self, timeout):
         """What it writes until it ends."""
         texts = ["", ""]
 
@@ -87,7 +87,7 @@ class Forked:
             reader.join()
         return texts[0], texts[1]
 
-    def close(self) -> None:
+    def close(self):
         """Kills it and what it has started, if it has not ended."""
         if self.returncode is None:
             with contextlib.suppress(ProcessLookupError):

@@ -22,11 +22,11 @@ class Axis(qml.operation.Operation):
 
     num_wires, num_params, ndim_params = 1, 1, (0,)
 
-    def __init__(self, x: Any, wires: Any, axis: str = "X", id: Any = None) -> None:
+    def __init__(self, x, wires, axis="X", id=None):
         self.axis = axis
         super().__init__(x, wires=wires, id=id)
 
-    def decomposition(self) -> list[Any]:
+    def decomposition(self):
         return [(qml.RX if self.axis == "X" else qml.RY)(self.data[0], wires=self.wires)]
 
 

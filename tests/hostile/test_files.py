@@ -4,7 +4,6 @@ import io
 import json
 import os
 import pickle
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -126,10 +125,10 @@ def test_other_columns_are_damaged(run):
 class Command:
     """Unpickling it runs a shell command."""
 
-    def __init__(self, command: str) -> None:
+    def __init__(self, command):
         self.command = command
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self):
         return os.system, (self.command,)
 
 

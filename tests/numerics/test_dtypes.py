@@ -1,7 +1,5 @@
 """A run in one dtype computes in no other: every PyTorch operation of a step is seen."""
 
-from typing import Any
-
 import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -14,12 +12,12 @@ from tests.helpers.trainer import trainer
 class Watcher(TorchDispatchMode):
     """Operations that give floating tensors of more than one number that are not of `dtype`."""
 
-    def __init__(self, dtype: torch.dtype) -> None:
+    def __init__(self, dtype):
         super().__init__()
         self.known = {dtype, dtype.to_complex()}
         self.found = set()
 
-    def __torch_dispatch__(self, function: Any, types: Any, given: Any = (), options: Any = None) -> Any:
+    def __torch_dispatch__(self, function, types, given=(), options=None):
         out = function(*given, **(options or {}))
         for tensor in tree_leaves(out):
             floats = isinstance(tensor, torch.Tensor) and (tensor.is_floating_point() or tensor.is_complex())

@@ -6,7 +6,6 @@ import pytest
 import torch
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS
 from benchmarks.accuracy_cases.circuits import NORMALISED, normalisation_plain
@@ -21,7 +20,7 @@ class Angles(torch.nn.Module):
 
     wires = 3
 
-    def forward(self, angles: Tensor) -> Tensor:
+    def forward(self, angles):
         return angles
 
 

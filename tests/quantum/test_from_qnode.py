@@ -7,7 +7,7 @@ import numpy as np
 import pennylane as qml
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.func import functional_call
 from torch.nn.utils import parametrize, prune
 
@@ -284,7 +284,7 @@ def test_from_qnode_sees_a_parameter_that_was_replaced():
 
 
 class Zero(nn.Module):
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x):
         return 0 * x
 
 

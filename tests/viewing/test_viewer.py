@@ -181,7 +181,7 @@ def test_the_server_asks_its_guard(viewer):
 class Page:
     """The viewer's page in a real browser."""
 
-    def __init__(self, driver, address: str) -> None:
+    def __init__(self, driver, address):
         from selenium.webdriver.common.by import By
         from selenium.webdriver.support.wait import WebDriverWait
 
@@ -190,18 +190,18 @@ class Page:
         self.driver.get(address)
         self.canvas = self.wait.until(lambda _: self.driver.find_elements(By.TAG_NAME, "canvas"))[0]
 
-    def middle(self) -> np.ndarray:
+    def middle(self):
         """Pixels of the page, below its messages and left of its controls."""
         page = np.asarray(Image.open(io.BytesIO(self.driver.get_screenshot_as_png())).convert("RGB"), int)
         return page[-250:-20, 50:-350]
 
-    def drag(self) -> None:
+    def drag(self):
         from selenium.webdriver.common.action_chains import ActionChains
 
         held = ActionChains(self.driver).move_to_element_with_offset(self.canvas, -150, 50).click_and_hold()
         held.move_by_offset(90, 40).release().perform()
 
-    def until(self, what, message: str) -> None:
+    def until(self, what, message):
         self.wait.until(lambda _: what(self.middle()), message)
 
 
