@@ -1,4 +1,4 @@
-"""Shared by all tests: composing the real configuration, a tiny scene, the optional data folder."""
+"""Shared by all tests: composing the real configuration, a tiny scene, which tests are slow."""
 
 import os
 
