@@ -2,8 +2,6 @@
 
 import ast
 import re
-from collections.abc import Iterator
-from pathlib import Path
 
 from tests.helpers.configs import ROOT
 
@@ -13,19 +11,19 @@ DOORS = {"__init__.py", "__main__.py"}  # which import what they open
 TOP = {*DOORS, "experiment.py", "metrics.py", "timing.py", "types.py"}
 
 
-def floors() -> list[list[str]]:
+def floors():
     """The rooms of each floor in ARCHITECTURE.md, top floor first."""
     text = (ROOT / "ARCHITECTURE.md").read_text()
     picture = text.split("<!-- floors -->")[1].split("```")[1]
     return [re.split(r"\s{2,}", line) for line in picture.strip().splitlines()]
 
 
-def rooms_of(line: list[str]) -> list[str]:
+def rooms_of(line):
     """The names on a floor, without the description on its right."""
     return [name for name in line if name in ROOMS]
 
 
-def room(module: str) -> str:
+def room(module):
     """`qnerf.records.index` -> `records`; a module of `qnerf` itself is named by its file."""
     head, *rest = module.split(".")
     if head in BESIDE:
@@ -41,7 +39,7 @@ ROOMS = {path.name for path in PACKAGE.iterdir() if path.is_dir() and (path / "_
 }
 
 
-def imports(path: Path) -> Iterator[str]:
+def imports(path):
     """Modules of qnerf that a file imports anywhere, also inside functions."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").split(".")[0] == "qnerf":
@@ -51,7 +49,7 @@ def imports(path: Path) -> Iterator[str]:
             yield from (alias.name for alias in node.names if alias.name.startswith("qnerf."))
 
 
-def arrows() -> Iterator[tuple[str, str, str]]:
+def arrows():
     """File, its room, and a room that it imports from."""
     for folder, package in [(PACKAGE, "qnerf"), *((ROOT / name, name) for name in BESIDE)]:
         for path in sorted(set(folder.rglob("*.py")) - {PACKAGE / name for name in DOORS}):

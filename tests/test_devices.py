@@ -5,15 +5,16 @@ import sys
 
 import pytest
 import torch
-from torch import Tensor
 from torch.utils import backend_registration
 
 from qnerf.model import chosen_rows
 from tests.helpers.configs import ROOT, TINY, composed
 from tests.helpers.trainer import trainer
 
+SCENE = ("scene=poster", "scene.views=6")
 
-def test_the_layer_and_a_training_step_stay_on_their_device() -> None:
+
+def test_the_layer_and_a_training_step_stay_on_their_device():
     if not hasattr(backend_registration, "_setup_privateuseone_for_python_backend"):
         pytest.skip("this PyTorch cannot register a device from Python")
     fields = [
@@ -33,17 +34,17 @@ def test_the_layer_and_a_training_step_stay_on_their_device() -> None:
     "options",
     [("field=qcolor",), ("field=qboth",), ("field=qcolor", "shading=none"), ("field=qboth", "qiren.statistics=first")],
 )
-def test_a_step_of_fixed_shapes_computes_what_one_that_gathers_rows_does(options: tuple[str, ...], monkeypatch) -> None:
+def test_a_step_of_fixed_shapes_computes_what_one_that_gathers_rows_does(options, monkeypatch):
     gathered = loss_and_gradients("cpu", *options)
     monkeypatch.setattr(chosen_rows, "gathers", lambda mask: False)
     for fixed, own in zip(loss_and_gradients("cpu", *options), gathered, strict=True):
         torch.testing.assert_close(fixed, own, rtol=1e-9, atol=1e-11)
 
 
-def test_only_a_measured_step_waits_for_the_device(monkeypatch) -> None:
-    taken = trainer(composed("scene=poster", *TINY, "field=classical", "hash=C7", "train.rays=8", "device=cpu"))
+def test_only_a_measured_step_waits_for_the_device(monkeypatch):
+    taken = trainer(composed(*SCENE, *TINY, "field=classical", "hash=C7", "train.rays=8", "device=cpu"))
     taken.watch.device = torch.device("cuda")
-    waits: list[torch.device] = []
+    waits = []
     monkeypatch.setattr(torch.accelerator, "synchronize", waits.append)
     assert taken.take_step(False) == {}
     assert not waits
@@ -53,15 +54,17 @@ def test_only_a_measured_step_waits_for_the_device(monkeypatch) -> None:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.parametrize("field", ["classical", "qcolor", "qdensity", "qboth"])
-def test_a_gpu_has_the_loss_and_gradients_of_the_cpu(field: str) -> None:
+def test_a_gpu_has_the_loss_and_gradients_of_the_cpu(field):
     here = loss_and_gradients("cpu", f"field={field}")
     for there, own in zip(loss_and_gradients("cuda", f"field={field}"), here, strict=True):
         torch.testing.assert_close(there, own, rtol=1e-6, atol=1e-9)
 
 
-def loss_and_gradients(device: str, *options: str) -> list[Tensor]:
+def loss_and_gradients(device, *options):
     """Of a step in float64 without jitter, on the CPU; the statistics of normalisations come last."""
-    config = composed("scene=poster", *TINY, *options, "hash=C7", "numerics.dtype=float64", f"device={device}")
+    config = composed(
+        "scene=poster", "scene.views=6", *TINY, *options, "hash=C7", "numerics.dtype=float64", f"device={device}"
+    )
     taken = trainer(config)
     model = taken.model
     rays, pixels = taken.table.batch(taken.table.draw(64, torch.Generator().manual_seed(0)), model.cameras)

@@ -15,7 +15,7 @@ MODULES = sorted(
 )
 
 
-def test_the_examples_of_a_module_hold() -> None:
+def test_the_examples_of_a_module_hold():
     for name in MODULES:
         module = importlib.import_module(name)
         result = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)

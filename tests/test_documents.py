@@ -1,7 +1,6 @@
 """What documents tell a reader to type is understood, what they link to is there, what they quote is in its row."""
 
 import re
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -20,7 +19,7 @@ PARTS = 4
 """Tests that share the commands, so that several processes take them."""
 
 
-def shown() -> list[str]:
+def shown():
     """Each command of the documents and of the headers of configurations, once."""
     files = [file for file in (*DOCUMENTS, *HEADERS) if file.name != "CHANGELOG.md"]
     found = {command for file in files for command in commands.shown(file)}
@@ -125,7 +124,7 @@ def test_the_tables_of_what_computing_less_costs():
         assert "| " + " | ".join([rung, *(cells.get(scene, "") for scene in points["scene"].unique())]) + " |" in page
 
 
-def ladder_cell(row) -> str:
+def ladder_cell(row):
     """Milliseconds a step, PSNR, and the picture's error where the weights are the same."""
     psnr = f"{row.psnr:.2f} ± {row.psnr_std:.2f}" if row.n > 1 else f"{row.psnr:.2f}"
     return f"{row.step_ms:.0f} ms, {psnr}" + (f", {row.image_error:.1e}" if row.kind == "same weights" else "")
@@ -156,7 +155,7 @@ def test_links_of_documents_lead_somewhere():
                 assert not anchor or anchor in anchors(page), (file, f"{target}#{anchor}")
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """The headings of a document as its host links to them."""
     headings = re.findall(r"^#+ (.+)$", quotes.FENCE.sub("", page.read_text()), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}

@@ -1,8 +1,6 @@
 """examples/ does what it says: each script, with few steps."""
 
 import runpy
-from pathlib import Path
-from typing import Any
 
 from qnerf import records
 from tests.helpers.configs import MOMENT, ROOT, TINY
@@ -11,12 +9,12 @@ from tests.helpers.processes import call
 SMALL = (*(option for option in MOMENT if not option.startswith("train.steps")), *TINY, "scene.views=6", "threads=1")
 
 
-def example(name: str) -> dict[str, Any]:
+def example(name):
     """The names that a script defines."""
     return runpy.run_path(str(ROOT / "examples" / f"{name}.py"))
 
 
-def test_field_gives_a_verdict_and_a_picture(tmp_path: Path, capsys) -> None:
+def test_field_gives_a_verdict_and_a_picture(tmp_path, capsys):
     example("field")["main"](2, 2, tmp_path, *SMALL)
     said = capsys.readouterr().out
     assert "qcolor - classical: " in said
@@ -24,12 +22,12 @@ def test_field_gives_a_verdict_and_a_picture(tmp_path: Path, capsys) -> None:
     assert (tmp_path / "view.png").is_file()
 
 
-def test_layer_fits_two_frequencies_with_two_uploads() -> None:
+def test_layer_fits_two_frequencies_with_two_uploads():
     errors = example("layer")["main"](200)
     assert errors[2] < 1e-4 < 1e-2 < errors[1]
 
 
-def test_own_head_is_trained_under_its_name_and_options(tmp_path: Path) -> None:
+def test_own_head_is_trained_under_its_name_and_options(tmp_path):
     words = ("plugins=[own_head]", "color=products", "density=mlp", "color.products.rank=8", "train.steps=2")
     trained = call("run", *words, *SMALL, f"store={tmp_path}", cwd=ROOT / "examples")
     assert trained.returncode == 0, trained.stderr

@@ -1,7 +1,6 @@
 """A metric is declared once and appears everywhere."""
 
 import io
-from collections.abc import Iterator
 
 import pandas as pd
 import pytest
@@ -17,24 +16,24 @@ from qnerf.cli.display import print_outcome
 from qnerf.experiment import run
 from qnerf.metrics import METRICS, Metric, declare, image_metrics, metric_of
 from qnerf.records import details
-from qnerf.training.image_metrics import IMAGE_METRICS, Comparison
+from qnerf.training.image_metrics import IMAGE_METRICS
 
 
 @pytest.fixture
-def toy_error(monkeypatch: pytest.MonkeyPatch) -> Iterator[Metric]:
+def toy_error(monkeypatch):
     """One entry and one function."""
     monkeypatch.setattr(IMAGE_METRICS, "_components", dict(IMAGE_METRICS._components))
     metric = declare(Metric("toy_error", "mean absolute error", digits=4, better="lower", kind="image"))
 
     @IMAGE_METRICS.register("toy_error")
-    def mean_absolute_error(view: Comparison) -> float:
+    def mean_absolute_error(view):
         return float((view.color - view.truth).abs().mean())
 
     yield metric
     del METRICS["toy_error"]
 
 
-def printed(write, *arguments) -> str:
+def printed(write, *arguments):
     out = Console(file=io.StringIO(), width=200)
     write(out, *arguments)
     return out.file.getvalue()
@@ -99,7 +98,7 @@ def test_columns_and_logged_keys_have_their_metrics():
         assert (metric.heading, metric.text(21.5)) == (heading, text)
 
 
-def test_signs_and_thousands():
+def test_metrics_write_signs_and_thousands():
     assert metric_of("psnr").text(0.5, sign="+") == "+0.50"
     assert metric_of("params.total").text(1_055_947) == "1,055,947"
     assert [metric_of(key).sign for key in ("psnr", "lpips", "params.total")] == [1, -1, 1]

@@ -4,7 +4,7 @@ from tests.conftest import SLOW
 from tests.helpers.configs import ROOT
 
 
-def test_every_slow_test_is_there() -> None:
+def test_every_slow_test_is_there():
     for entry in SLOW:
         file, _, test = entry.partition("::")
         path = ROOT / "tests" / file

@@ -42,7 +42,7 @@ def studied(random, spreads, true, within=0.5, most=20):
     return found.kind, count
 
 
-@pytest.mark.parametrize("spreads", [(0.35, 0.75), (0.5, 0.5), (0.0, 0.6)])
+@pytest.mark.parametrize("spreads", [(0.35, 0.75), (0.0, 0.6)])
 @pytest.mark.parametrize("true", [0.0, 0.5, 1.0])
 def test_a_study_is_rarely_wrong_and_ends_early(spreads, true):
     random = np.random.default_rng(2)
@@ -276,12 +276,11 @@ def test_the_record_is_written_before_the_first_run_and_keeps_later_budgets(trai
 
 
 SIRENS = ("color=mlp color.mlp.layers=3", "color=siren")
+SMALL = " ".join(("field=classical", *MOMENT, "scene.views=4"))
 
 
 def test_the_space_is_that_of_the_heads_in_which_candidates_differ():
-    question = Question(
-        SIRENS, ("",), "field=classical", 0.5, tune=4, space=("color.siren.omega=5,10", "color.mlp.width=8,16")
-    )
+    question = Question(SIRENS, ("",), SMALL, 0.5, tune=4, space=("color.siren.omega=5,10", "color.mlp.width=8,16"))
     found = spaces(Record(question, ""), "")
     rate = {"train.rates.color": "tag(log,interval(0.1,3))"}
     assert found[SIRENS[0]] == {**rate, "color.mlp.init": "torch,he", "color.mlp.width": "8,16"}
@@ -293,14 +292,13 @@ def test_the_space_is_that_of_the_heads_in_which_candidates_differ():
 
 
 def test_depth_is_searched_with_the_width_that_keeps_the_number_of_parameters():
-    words = ("field=classical", *MOMENT)
-    found = spaces(Record(Question(("color=mlp", "color=qkan"), ("",), " ".join(words), 0.5, tune=4), ""), "")
+    found = spaces(Record(Question(("color=mlp", "color=qkan"), ("",), SMALL, 0.5, tune=4), ""), "")
     for name in ("color.mlp", "color.qkan"):
         pairs = found[name.replace(".", "=")][name]
         counts = []
         for layers, width in re.findall(r"layers:(\d+),width:(\d+)", pairs):
             made = [f"{name.replace('.', '=')}", f"{name}.layers={layers}", f"{name}.width={width}"]
-            prepared = prepare(worked_out(*words, *made))
+            prepared = prepare(worked_out(*SMALL.split(), *made))
             prepared.task.build(prepared.settings)
             counts.append(parameter_counts(prepared.task.model)["params.color"])
         assert len(counts) > 1
@@ -338,6 +336,7 @@ def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_pa
         assert list(seeds) == list(TUNING[1:])
         return pd.DataFrame({"psnr": [scores[overrides[-1]][1]] * 2})
 
+    monkeypatch.setattr(tuning, "spaces", lambda record, scene: {key: {} for key in record.question.candidates})
     monkeypatch.setattr(tuning, "searched", searched)
     monkeypatch.setattr(tuning, "trained", again)
     monkeypatch.setattr(tuning, "found", lambda *_: pd.DataFrame({"train_s": [30.0]}))
@@ -359,7 +358,7 @@ def test_scenes_are_named_by_their_folders(trainings, tmp_path):
         decide.main([*question, "--scene", "scene.path=other/fern"])
 
 
-def test_mistakes_are_named(tmp_path, capsys):
+def test_decide_names_mistakes_of_candidates_scenes_and_times(tmp_path, capsys):
     with pytest.raises(ValueError, match="expected at least two candidates, each once, got field=qcolor"):
         decide.main(["field=qcolor"])
     with pytest.raises(ValueError, match=r"^density=mlp: the same configuration as field=qcolor; leave one out"):

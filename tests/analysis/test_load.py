@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import pandas as pd
 import pytest
 from qnerf.analysis import load
@@ -10,7 +8,7 @@ from tests.helpers.packed_stores import write_run
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Path:
+def store(tmp_path):
     root = tmp_path / "runs"
     for seed, field in enumerate(["classical", "qcolor", "qcolor"]):
         scene = {"name": "nerfstudio", "path": "/data/fox"} if seed else {"name": "poster", "path": None}
@@ -23,7 +21,7 @@ def store(tmp_path: Path) -> Path:
     return root
 
 
-def test_load_gives_one_row_a_run(store: Path) -> None:
+def test_load_gives_one_row_a_run(store):
     frame = load.runs(store)
     assert frame["run_id"].tolist() == ["r0", "r1", "r2"]
     assert frame["psnr"].tolist() == [20.0, 21.0, 22.0]
@@ -32,7 +30,7 @@ def test_load_gives_one_row_a_run(store: Path) -> None:
     pd.testing.assert_frame_equal(load.runs(str(store)), frame)
 
 
-def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
+def test_scenes_of_one_name_are_told_apart(tmp_path):
     """By their contents: folders may be called the same."""
     for seed in range(2):
         write_run(tmp_path, seed=seed, columns={"scene.fingerprint": "a"})
@@ -41,7 +39,7 @@ def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
         ablation(load.runs(tmp_path), ["scene_name"])
 
 
-def test_metrics_of_one_run(store: Path) -> None:
+def test_metrics_of_one_run(store):
     frame = load.metrics(store / "r1")
     pd.testing.assert_frame_equal(frame, read_metrics(store / "r1"))
     assert list(frame.columns) == ["step", "time_s", "key", "value"]
@@ -51,13 +49,13 @@ def test_metrics_of_one_run(store: Path) -> None:
     assert load.metrics(store / "r1", "absent").empty
 
 
-def test_metrics_of_several_runs(store: Path) -> None:
+def test_metrics_of_several_runs(store):
     frame = load.metrics(load.runs(store, {"field": "qcolor"}), "loss")
     assert list(frame.columns) == ["step", "time_s", "key", "value", "run_id"]
     assert frame.groupby("run_id")["value"].unique().map(list).to_dict() == {"r1": [1.0], "r2": [2.0]}
 
 
-def test_metrics_that_are_damaged_or_absent_are_named(store: Path) -> None:
+def test_metrics_that_are_damaged_or_absent_are_named(store):
     (store / "r1" / "metrics" / "part-00000.parquet").write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"r1/metrics/part-00000\.parquet: damaged"):
         load.metrics(store / "r1")

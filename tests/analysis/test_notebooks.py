@@ -1,11 +1,10 @@
 """The notebooks run from top to bottom on a small store of several kinds of runs."""
 
+import nbclient
+import nbformat
 import pytest
 
 from tests.helpers.configs import ROOT
-
-nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
-nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
 
 FOLDER = ROOT / "analysis" / "notebooks"
 DRAWN = {"pandas": 1, "capacity": 2, "your_sweep": 2, "train": 1}

@@ -18,7 +18,7 @@ FRAME = pd.DataFrame(
 ).astype({"lpips": float})
 
 
-def test_mistakes_are_named():
+def test_selection_names_unknown_columns_and_metrics_that_no_run_has():
     with pytest.raises(ValueError, match="no run has a column 'feild'; did you mean field"):
         check_keys(FRAME, ["feild"])
     with pytest.raises(ValueError, match=r"no finished run of 2 has lpips \(no weights\); have: psnr"):

@@ -164,7 +164,7 @@ def test_serve_keeps_no_client_waiting_for_another(many, monkeypatch):
         assert {table.result()[0] for table in tables} == {400}
 
 
-def test_mistakes_are_one_line(tmp_path):
+def test_serve_refuses_folders_without_a_store(tmp_path):
     with pytest.raises(ValueError, match="no such folder"):
         main([str(tmp_path / "nowhere")])
     for name in ("runs", "views"):

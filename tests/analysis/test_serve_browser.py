@@ -2,13 +2,12 @@
 
 import pytest
 from qnerf.analysis.serve import store as serve_store
+from selenium.webdriver.common.keys import Keys
 
 from qnerf.records import RunStore
 from tests.helpers.browser import chromium
 from tests.helpers.packed_stores import write_run
 from tests.helpers.serving import EVIL, served
-
-Keys = pytest.importorskip("selenium.webdriver.common.keys", reason="selenium is not installed").Keys
 
 
 @pytest.fixture(scope="module")

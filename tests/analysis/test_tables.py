@@ -140,7 +140,7 @@ def test_scenes_are_judged_one_by_one_and_together(tmp_path):
         across_scenes(frame, ["field"], "field=classical")
 
 
-def test_mistakes_are_named(store, tmp_path):
+def test_ablation_names_mistakes_in_what_is_asked_for(store, tmp_path):
     frame = runs(store)
     for message, call in {
         r"no run has a column 'colour'; did you mean color": lambda: ablation(frame, ["colour"]),
@@ -247,7 +247,7 @@ def test_bold_is_what_prints_like_the_best(means, name):
     assert {f"{means[row]:.{digits}f}" for row in np.flatnonzero(bold)} == {f"{means[wanted]:.{digits}f}"}
 
 
-def test_the_command_prints_what_is_asked(store, capsys):
+def test_tables_prints_what_is_asked_for(store, capsys):
     main([str(store), "--rows", "field", "--filter", "seed=1", "--values", "psnr"])
     assert capsys.readouterr().out.splitlines()[2:4] == ["| classical | 21.50 | 1 |", "| qcolor | **22.50** | 1 |"]
     main([str(store), "--rows", "field", "--baseline", "field=classical", "--format", "csv"])

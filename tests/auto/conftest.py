@@ -1,9 +1,9 @@
 import pytest
 
-from qnerf.scenes import SCENES, Scene
+from qnerf.scenes import SCENES
 
 
 @pytest.fixture(scope="session")
-def poster() -> Scene:
+def poster():
     """The built-in scene with 24 views."""
     return SCENES.build("poster", views=24)

@@ -12,7 +12,7 @@ from tests.helpers.worlds import ball, constant, floor
 BALL, FLOOR = ball(), floor()
 
 
-def autos(node, path="") -> set[str]:
+def autos(node, path=""):
     if not isinstance(node, dict):
         return {path} if node == "auto" else set()
     return {name for key, value in node.items() for name in autos(value, f"{path}.{key}".lstrip("."))}

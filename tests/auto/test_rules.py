@@ -15,11 +15,11 @@ OUTWARD = scene(constant(9).images, cameras(ring(6, outward=True)))
 AUTO = composed("needs=auto")
 
 
-def decided(option: str, world, config=AUTO):
+def decided(option, world, config=AUTO):
     return RULES[option](Measured(world), config)
 
 
-def hashed(**table) -> dict:
+def hashed(**table):
     """Of a contraction that is decided already, and these hash tables."""
     return AUTO | {
         "contraction": {"name": "linf"},

@@ -16,7 +16,7 @@ AUTO = ("needs=auto", "field=classical", "visibility.alpha=auto", "visibility.re
 def auto(tiny, tmp_path):
     """A small configuration with needs=auto for a scene that is written to a folder of its own."""
 
-    def make(world, *overrides: str) -> dict:
+    def make(world, *overrides):
         folder = tmp_path / "world"
         path = folder if folder.exists() else write(world, folder)
         return tiny("scene=nerfstudio", f"scene.path={path}", *AUTO, "hash=auto", *overrides)

@@ -10,7 +10,7 @@ from qnerf.auto.views import grey, neighbours, subset
 from tests.helpers.worlds import ball, cameras, look_at, ring, scene
 
 
-def empty(poses: np.ndarray, **options):
+def empty(poses, **options):
     of = cameras(poses, 4, 4)
     return scene(torch.zeros(len(poses), 4, 4, 3, dtype=torch.uint8), of, **options)
 

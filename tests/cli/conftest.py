@@ -1,9 +1,8 @@
 """`qnerf run` in this process, as a user calls it."""
 
+import json
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
@@ -18,15 +17,16 @@ class Done:
     out: str
     err: str
 
-
-Qnerf = Callable[..., Done]
+    @property
+    def json(self):
+        return json.loads(self.out)
 
 
 @pytest.fixture
-def qnerf(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Qnerf]:
+def qnerf(monkeypatch, capsys, tmp_path):
     """`qnerf("run", "seed=1")`: exit code, output and standard error of a command, in an empty folder."""
 
-    def call(*arguments: str, full_error: bool = False) -> Done:
+    def call(*arguments, full_error=False):
         monkeypatch.setenv("HYDRA_FULL_ERROR", str(int(full_error)))
         monkeypatch.setattr(sys, "argv", ["qnerf", *arguments])
         monkeypatch.setattr(sweep, "started", [])
@@ -50,7 +50,7 @@ def qnerf(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
 
 
 @pytest.fixture
-def small(tiny_scene: Path, tmp_path: Path) -> list[str]:
+def small(tiny_scene, tmp_path):
     """A training of a moment in the store tmp_path/runs."""
     scene = ("scene=nerfstudio", f"scene.path={tiny_scene}", f"store={tmp_path / 'runs'}")
     return [*TINY, *MOMENT, *scene, "field=classical"]

@@ -27,34 +27,23 @@ MISTAKES = {
     "-cn": "argument --config-name/-cn: expected one argument",
     "qiren.layers=1, 2, 3": "have commas between them and no spaces, such as qiren.layers=1,2,3",
     "qiren.layers=1,2": "several values are a sweep, add -m",
-    "color=mlp,qiren": "color=mlp,qiren: several values are a sweep, add -m",
-    "hydra.verbose=1,2": "several values are a sweep, add -m",
     "seed=range(0,2)": "seed=range(0,2): several values are a sweep, add -m",
     "hydra/sweeper=qnerf_optuna hydra.sweeper.n_trial=3": "sweeper.n_trial; did you mean hydra.sweeper.n_trials=...?",
-    "hydra.swep.dir=x": "unknown option hydra.swep.dir; did you mean hydra.sweep.dir=...?",
     "sed=1,2": "unknown option sed; did you mean seed=...?",
     "lr=0.1": "unknown option lr; did you mean train.lr=...?",
-    "feild=qcolor": "unknown option feild; did you mean field=...?",
     "rays=3": "unknown option rays; did you mean stop.rays=... or train.rays=...?",
-    "shots=100": "unknown option shots; did you mean qiren.shots=...",
     "qiren.layer=2": "unknown option qiren.layer; did you mean qiren.layers=...?",
     "encoder=pe encoder.wide=3": "unknown option encoder.wide; known: bands, ",
     "head=mlp": "unknown option head; known: ansatz, ",
     "encoder=fourier": "encoder=fourier: unknown; known: hash, none, pe, rff",
-    "color=quantum": "color=quantum: unknown; known: amplitude, bloch, ",
     "density=QIREN": "density=QIREN: unknown; did you mean qiren?",
     "field=qcolour": "field=qcolour: unknown; did you mean qcolor? known: classical",
     "hash=null": "Config group override must be a string or a list",
     "hash=???": "You must specify 'hash'",
     "seed=${nope}": "Interpolation key 'nope' not found",
     "scene=nerfstudio": "scene.path must be given",
-    "plugins=3": "plugins=3: expected a list of modules, such as plugins=[my_module]",
     "plugins=[..my_module]": "plugins: expected names of modules such as my_module or package.module",
-    "run=null": "run must be a group of options, got None",
-    "train.steps=-1": "train.steps must be between 1 and 1000000000, got -1",
     "seed=[1": "seed=[1: cannot be read; close its brackets, or quote ",
-    "store=": "store must not be empty",
-    "threads=100000": "threads must be between 1 and 1024, got 100000",
     "-m store= seed=1,2": "store must not be empty",
     "-m seed=range(0,0)": "seed=range(0,0): an empty list of values, so there is no job",
     "-m seed=range(0,1000000000000)": "more than 100000 jobs",
@@ -105,8 +94,6 @@ def test_a_file_that_is_no_sweep_is_one_line(tmp_path, text):
     with pytest.raises(ValueError, match=r"^--sweep .*mine\.yaml: (expected `defaults|cannot be read)") as caught:
         expand_sweep(["--sweep", str(tmp_path / "mine.yaml")])
     assert "\n" not in one_line(caught.value)
-    for file in SWEEPS.glob("*.yaml"):
-        assert expand_sweep([f"--sweep={file.stem}"])
 
 
 def test_a_bug_and_errors_that_are_wanted_in_full_keep_their_traceback(qnerf, monkeypatch):

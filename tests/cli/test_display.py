@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import pytest
 from rich.console import Console
 
 from qnerf.cli.display import LiveDisplay, print_outcome
@@ -10,7 +9,7 @@ from qnerf.cli.text import console
 from qnerf.experiment import Outcome
 
 
-def test_progress_lines_say_phase_time_and_which_views(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_lines_say_phase_time_and_which_views(capsys):
     metrics = {"train/loss": 0.01, "train/psnr": 20.0, "time/step_ms": 50.0}
     for terminal in (False, True):
         shown = Console(width=160, force_terminal=terminal, color_system=None)
@@ -34,7 +33,7 @@ def test_progress_lines_say_phase_time_and_which_views(capsys: pytest.CaptureFix
         assert shown_text.count("evaluating") == shown_text.count("evaluating 4 views") == (not terminal)
 
 
-def test_views_too_small_for_an_ssim_have_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_views_too_small_for_an_ssim_have_none(capsys):
     summary = {"eval_views": 2, "psnr": 20.0, "ssim": None, "params.total": 3, "train_s": 1.0, "step_ms": 2.0}
     print_outcome(console(), Outcome("a", Path("runs/a"), "finished", summary, ""))
     shown = capsys.readouterr().out

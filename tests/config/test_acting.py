@@ -121,7 +121,7 @@ def test_a_component_that_denies_its_parameters_is_refused(monkeypatch):
         component(CAMERAS, {"name": "se3"}, 2, [0])
 
 
-def test_mistakes_are_one_line():
+def test_a_configuration_with_a_mistake_is_refused_in_one_line():
     for change, message in (
         ({"extra": 1}, "config: unknown option extra; known: appearance"),
         ({"train": {"steps": 3}}, "train: missing lr"),
@@ -136,7 +136,7 @@ def test_mistakes_are_one_line():
         assert "\n" not in str(caught.value)
 
 
-def after_two_steps(config: dict[str, Any]) -> list[torch.Tensor]:
+def after_two_steps(config):
     """All parameters, and the loss of a third step."""
     taken = trainer(config)
     for _ in range(2):
@@ -184,14 +184,14 @@ def test_options_that_do_not_act_change_no_number(tiny):
         assert torch.equal(one, other)
 
 
-HOSTILE: list[Any] = [
+HOSTILE = [
     None, True, -1, 0.5, 1e-310, 1e308, float("nan"), float("inf"), 2**63, 10**40, "", "auto", "abc", "a\nb", "a\0b",
     "\ud800", [], {}, [None], [0, -1], [float("nan")], [[[]]], {"name": ["a"]}, {"a": {"b": 1}},
 ]  # fmt: skip
 
 
 @functools.cache
-def completed(override: str) -> dict[str, Any]:
+def completed(override):
     return worked_out(override).complete
 
 

@@ -23,7 +23,7 @@ from tests.config.test_acting import after_two_steps
 from tests.helpers.configs import CONF, SWEEPS, TINY, composed, swept, worked_out
 
 
-def choices(group: str) -> list[str]:
+def choices(group):
     """What can be named; `auto` is decided by the scene."""
     return sorted(path.stem for path in (CONF / group).glob("*.yaml") if path.stem not in ("_base", "_signal", "auto"))
 
@@ -40,7 +40,7 @@ VALUES = {
 
 
 @functools.cache
-def node_of(group: str, name: str) -> dict:
+def node_of(group, name):
     """The part of the configuration that `group=name` sets."""
     path = ["scene.path=x"] if name in ("blender", "nerfstudio") else []
     key, part = {"head": ("head@color", "color"), "ansatz": ("ansatz", "qiren")}.get(group, (group, group))
@@ -74,7 +74,7 @@ def test_conf_and_settings_have_the_same_defaults():
             assert name not in options or value == options[name] or "${" in str(value), f"{one.name}.{name}"
 
 
-def is_group(declared: object) -> bool:
+def is_group(declared):
     return isinstance(declared, type) and dataclasses.is_dataclass(declared)
 
 
@@ -94,7 +94,7 @@ def test_comments_in_conf_list_the_names_that_a_value_may_have(option):
 
 
 SMALL = ("qiren.qubits=2",)
-TRAINED: dict[str, list[tuple[str, ...]]] = {
+TRAINED = {
     "field": [(f"field={name}", f"encoder={encoder}") for name in choices("field") for encoder in ("hash", "pe")],
     "encoder": [("field=classical", f"encoder={name}") for name in choices("encoder")],
     "qiren": [("field=qboth", f"qiren={name}", *SMALL) for name in ("1L1S", "3L4S")],
@@ -155,7 +155,7 @@ def test_an_ansatz_gets_its_options(tiny):
     assert {gate.name for gate in head.hybrid[0].circuit.circuit.gates} == {"Rot", "CZ", "RY"}
 
 
-def finished(config) -> dict:
+def finished(config):
     outcome = run(config)
     assert outcome.state == "finished"
     return outcome.summary

@@ -1,12 +1,12 @@
 """Every option of every component declares what it accepts."""
 
-from typing import Any, Literal, get_args, get_origin
+from typing import Literal, get_args, get_origin
 
 import pytest
 
 import qnerf.scenes
 from qnerf.config.bounds import check
-from qnerf.config.registry import Registry, options_of
+from qnerf.config.registry import options_of
 from qnerf.encoders import DIRECTIONS, ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
@@ -20,7 +20,7 @@ from qnerf.rendering.shading import SHADINGS
 from qnerf.rendering.spacing import SPACINGS
 from qnerf.training.image_metrics import IMAGE_METRICS
 
-REGISTRIES: tuple[Registry[Any], ...] = (
+REGISTRIES = (
     ANSATZE, CAMERAS, COLOR_ACTIVATIONS, CONTRACTIONS, DENSITY_ACTIVATIONS, DIRECTIONS, ENCODERS, HEADS, IMAGE_METRICS,
     INITS, SAMPLERS, qnerf.scenes.SCENES, SHADINGS, SPACINGS,
 )  # fmt: skip
@@ -39,7 +39,7 @@ OPTIONS = [
 ]
 
 
-def parts(hint: Any) -> list[Any]:
+def parts(hint):
     """The types in an annotation that a value or an element may have; bounded ones are left out."""
     if get_origin(hint) is Literal or any(hasattr(item, "__iter__") or hasattr(item, "ge") for item in limits(hint)):
         inner = get_args(hint)[0] if limits(hint) else None
@@ -49,7 +49,7 @@ def parts(hint: Any) -> list[Any]:
     return [hint]
 
 
-def limits(hint: Any) -> tuple[Any, ...]:
+def limits(hint):
     return getattr(hint, "__metadata__", ())
 
 

@@ -2,7 +2,6 @@
 
 import multiprocessing
 import tempfile
-from pathlib import Path
 
 import pytest
 import torch
@@ -11,10 +10,10 @@ from qnerf.config import devices
 
 
 @pytest.fixture
-def gpus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def gpus(monkeypatch, tmp_path):
     """`gpus(2, "cuda")`: this machine has two."""
 
-    def have(count: int, kind: str = "cuda") -> None:
+    def have(count, kind="cuda"):
         monkeypatch.setattr(torch.accelerator, "device_count", lambda: count)
         accelerator = (lambda: torch.device(kind)) if count else _none_as_in_pytorch_2_6
         monkeypatch.setattr(torch.accelerator, "current_accelerator", accelerator)
@@ -25,7 +24,7 @@ def gpus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     return have
 
 
-def _none_as_in_pytorch_2_6() -> None:
+def _none_as_in_pytorch_2_6():
     raise RuntimeError("Cannot access accelerator device when none is available.")
 
 
@@ -47,7 +46,7 @@ def test_a_device_is_named_as_in_pytorch(gpus):
 
 
 def test_jobs_side_by_side_get_a_gpu_each_and_the_next_one_waits(gpus):
-    told: list[str] = []
+    told = []
     with devices.dealt("auto", told.append) as first:
         with devices.dealt("auto", told.append) as second:
             assert (first, second, told) == ("cuda:0", "cuda:1", [])
@@ -65,7 +64,7 @@ def test_a_named_gpu_is_shared_and_auto_leaves_it_alone(gpus):
             assert third == "cuda:1"
 
 
-def _hold(ready, tmp: str) -> None:
+def _hold(ready, tmp):
     tempfile.tempdir = tmp
     torch.accelerator.device_count = lambda: 2
     torch.accelerator.current_accelerator = lambda: torch.device("cuda")

@@ -19,13 +19,13 @@ configs = st.dictionaries(st.text(max_size=5), values, max_size=5)
 
 
 @given(configs)
-def test_digest_does_not_depend_on_the_order_of_keys(config: dict) -> None:
+def test_digest_does_not_depend_on_the_order_of_keys(config):
     assert digest(dict(reversed(list(config.items()))), "a") == digest(config, "a")
     assert re.fullmatch("[0-9a-f]{10}", digest(config, "a"))
     assert digest(config, "a") != digest(config, "b")
 
 
-def test_digest_tells_values_apart() -> None:
+def test_digest_tells_values_apart():
     """Numbers of one value are the same, and so are floats that differ in their last bits only."""
     assert len({digest({"a": value}, "") for value in (1, 1.0, np.int64(1), np.float32(1))}) == 1
     assert digest({"a": 0.1 + 0.2}, "") == digest({"a": 0.3}, "")
@@ -33,17 +33,17 @@ def test_digest_tells_values_apart() -> None:
 
 
 @given(st.text(max_size=200))
-def test_clean_gives_a_plain_folder_name(slug: str) -> None:
+def test_clean_gives_a_plain_folder_name(slug):
     assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}", clean(slug))
     assert clean(clean(slug)) == clean(slug)
 
 
-def test_clean_replaces_other_characters() -> None:
+def test_clean_replaces_other_characters():
     pairs = {"fox qcolor 1L+2S": "fox-qcolor-1L-2S", "../../etc": "etc", "": "run", ".tmp": "tmp", "ü/ß": "run"}
     assert {slug: clean(slug) for slug in pairs} == pairs
 
 
-def test_pictures_have_names_of_their_own() -> None:
+def test_pictures_have_names_of_their_own():
     for images, expected in (
         (["images/1.png", "images/2.jpg"], ["images-1", "images-2"]),
         (["猫.png", "狗.png", "c.png"], ["run.0", "run.1", "c"]),
@@ -53,11 +53,11 @@ def test_pictures_have_names_of_their_own() -> None:
         assert picture_names(images) == expected
 
 
-def test_flatten() -> None:
+def test_flatten_joins_names_of_groups_by_dots():
     flat = flatten({"a": {"b": {"c": 1}, "d": [1, "x"]}, "e": None, "f": {}, "g": Path("x/y")})
     assert flat == {"a.b.c": 1, "a.d": '[1, "x"]', "e": None, "f": "{}", "g": "x/y"}
 
 
-def test_plain_names_what_is_not() -> None:
+def test_plain_names_what_is_not():
     with pytest.raises(ValueError, match=r"config\.a\.b\[1\]: expected text, number.*got object"):
         plain({"a": {"b": [1, object()]}})

@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -29,19 +28,19 @@ RUN = "from qnerf.cli.main import run; run()"
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """With the page's modules in it, and nothing else."""
     for name, module in zip(MODULES, re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL), strict=True):
         (tmp_path / name).write_text(module)
     return tmp_path
 
 
-def typed_on_the_page(module: str) -> list[str]:
+def typed_on_the_page(module):
     (command,) = re.findall(rf"^    python -m src\.run (plugins=\[{module}\].*)", PAGE, re.MULTILINE)
     return command.split()
 
 
-def qnerf(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def qnerf(folder, *arguments):
     """A command in the folder, in a process of its own."""
     return call(*arguments, cwd=folder)
 
@@ -161,7 +160,7 @@ def test_the_node_of_a_signature_is_what_conf_has():
 
 
 def test_an_option_without_a_default_has_to_be_given(monkeypatch):
-    registry: Registry[object] = Registry("encoder")
+    registry = Registry("encoder")
 
     @registry.register("needy")
     class Needy:

@@ -6,7 +6,7 @@ from qnerf.heads import HEADS
 
 @pytest.fixture
 def registry():
-    shapes: Registry[object] = Registry("shape")
+    shapes = Registry("shape")
 
     @shapes.register("circle")
     class Circle:
@@ -18,7 +18,7 @@ def registry():
     return shapes
 
 
-def test_builds_with_wiring_and_options(registry):
+def test_registry_builds_with_wiring_and_options(registry):
     assert registry.build("circle", 3, radius=2, tags=[1]).given == (3, 2, 0, [1])
 
 

@@ -1,7 +1,5 @@
 """The pages of results: made from packed runs, a page a question and a line a question in the index."""
 
-from pathlib import Path
-
 import pytest
 from qnerf.analysis.pack import main as pack
 
@@ -19,7 +17,7 @@ scenes:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     for seed in range(4):
         for field, psnr in (("classical", 24.0), ("qcolor", 25.0)):
             write_run(tmp_path / "runs", field, seed, [psnr + 0.1 * seed, psnr + 1])
@@ -28,7 +26,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "results"
 
 
-def test_pages_say_what_was_trained_and_the_verdict(folder: Path) -> None:
+def test_pages_say_what_was_trained_and_the_verdict(folder):
     (folder / "hardware.txt").write_text("On a \x1b[31mmachine.\n")
     main([str(folder)])
     page, index = (folder / "scenes" / "README.md").read_text(), folder.with_suffix(".md").read_text()
@@ -45,7 +43,7 @@ def test_pages_say_what_was_trained_and_the_verdict(folder: Path) -> None:
     assert line.endswith("| against classical: qcolor: better |")
 
 
-def test_a_folder_without_a_question_is_named(folder: Path) -> None:
+def test_a_folder_without_a_question_is_named(folder):
     (folder / "scenes").rename(folder / "nonsense")
     with pytest.raises(ValueError, match=r"expected folders of packed runs, among scenes; got nonsense"):
         pages(folder)
@@ -54,7 +52,7 @@ def test_a_folder_without_a_question_is_named(folder: Path) -> None:
         pages(folder)
 
 
-def test_questions_that_cannot_be_read_are_named(folder: Path) -> None:
+def test_questions_that_cannot_be_read_are_named(folder):
     (folder / "questions.yaml").write_text(QUESTION.replace("rows", "rwos"))
     with pytest.raises(ValueError, match=r"questions.yaml: .*rwos"):
         pages(folder)
@@ -62,7 +60,7 @@ def test_questions_that_cannot_be_read_are_named(folder: Path) -> None:
         pages(folder / "empty")
 
 
-def test_the_committed_pages_are_made_from_the_committed_runs() -> None:
+def test_the_committed_pages_are_made_from_the_committed_runs():
     folder = ROOT / "docs" / "results"
     assert {path.parent.name for path in folder.glob("*/runs.parquet")} == set(questions(folder))
     for file, text in pages(folder).items():

@@ -1,19 +1,42 @@
 """The same sweep on several machines over one folder: they share its runs, also the runs of a machine that dies."""
 
+import platform
 import time
 from functools import partial
-from pathlib import Path
 
 from qnerf import records
+from qnerf.cli import sweep as sweeps
+from qnerf.records import RunStore, owner
+from qnerf.training.trainer import Trainer
 from tests.helpers.configs import MOMENT, TINY
-from tests.helpers.hosts import other_machine
-from tests.helpers.processes import Forked
+from tests.helpers.processes import PATIENCE, Forked, wait
 from tests.helpers.scenes import write_scene
 
 SMALL = [*TINY, *MOMENT, "scene=nerfstudio", "train.checkpoint_every=0.02", "threads=1", "run.progress=false"]
 
 
-def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path: Path) -> None:
+def other_machine(name, ahead=0.0, hangs_at=0):
+    """Makes a process one of another machine: a host name, a boot and a clock of its own, and a short heartbeat.
+
+    ahead: by how many seconds its clock is. hangs_at: the step that it never ends; 0: none.
+    """
+    clock = time.time
+    platform.node = lambda: name
+    owner._boot_id = lambda: name
+    time.time = lambda: clock() + ahead
+    owner.HEARTBEAT_LIMIT, sweeps.RETRY = 6.0, 0.2
+    RunStore.__init__.__kwdefaults__.update(every=0.2)
+    take_step = Trainer.take_step
+
+    def step(self, measure):
+        while self.step + 1 == hangs_at:
+            time.sleep(0.1)
+        return take_step(self, measure)
+
+    Trainer.take_step = step
+
+
+def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path):
     """One of three is killed while it trains, and the clock of another one is an hour ahead."""
     store = tmp_path / "runs"
     scene = write_scene(tmp_path / "scene")
@@ -22,17 +45,12 @@ def test_machines_share_a_sweep_and_finish_the_run_of_one_that_died(tmp_path: Pa
     killed = start(before=partial(other_machine, "killed", hangs_at=20))
     others = []
     try:
-        while not any(records.read_metrics(run)["step"].max() == 19 for run in records.runs(store)):
-            time.sleep(0.05)
+        wait(lambda: any(records.read_metrics(run)["step"].max() == 19 for run in records.runs(store)))
         (dead,) = records.runs(store)
-        others = [
-            start(before=partial(other_machine, "right")),
-            start(before=partial(other_machine, "ahead", 3600.0)),
-        ]
-        while len(records.runs(store)) < 3:
-            time.sleep(0.05)
+        others = [start(before=partial(other_machine, "right")), start(before=partial(other_machine, "ahead", 3600.0))]
+        wait(lambda: len(records.runs(store)) == 3)
         killed.process.kill()
-        outputs = [other.communicate(timeout=200) for other in others]
+        outputs = [other.communicate(timeout=PATIENCE) for other in others]
     finally:
         for process in (killed, *others):
             process.close()

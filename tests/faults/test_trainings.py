@@ -9,9 +9,6 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
@@ -35,7 +32,7 @@ SHORT = [
 
 
 @pytest.fixture
-def job(tmp_path: Path) -> Path:
+def job(tmp_path):
     """One or two seconds of training, with everything that a checkpoint must store."""
     overrides = ["scene=nerfstudio", f"scene.path={write_scene(tmp_path / 'scene')}", *SHORT]
     content = {"overrides": overrides, "config": composed(*overrides), "store": str(tmp_path)}
@@ -43,29 +40,29 @@ def job(tmp_path: Path) -> Path:
     return tmp_path / "job.json"
 
 
-def start(*arguments: str) -> subprocess.Popen[str]:
+def start(*arguments):
     return processes.start("trainings", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-def lines(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
+def lines(process):
     out, err = process.communicate(timeout=1800)
     assert process.returncode == 0, err
     return [json.loads(line) for line in out.splitlines()]
 
 
-def only_run(store: Path) -> Path:
+def only_run(store):
     (run,) = records.runs(store)
     return run
 
 
-def numbers(run: Path) -> pd.DataFrame:
+def numbers(run):
     """Every logged row, without times."""
     rows = records.read_metrics(run)
     clocks = rows["key"].str.startswith("time/") | (rows["key"] == "eval/eval_s")
     return rows.loc[~clocks, ["step", "key", "value"]].reset_index(drop=True)
 
 
-def assert_equal_runs(run: Path, whole: Path) -> None:
+def assert_equal_runs(run, whole):
     """Parameters, optimiser, random streams, rows, images and results, bit for bit."""
     assert records.state(run) == "finished"
     pd.testing.assert_frame_equal(numbers(run), numbers(whole), check_exact=True)
@@ -82,7 +79,7 @@ def assert_equal_runs(run: Path, whole: Path) -> None:
     assert not list(run.rglob(".*.tmp"))
 
 
-def poll(run: Path) -> None:
+def poll(run):
     """A reader finds whole tables, no row twice, and a sensible state at any moment."""
     metrics = records.read_metrics(run)
     assert not metrics.duplicated(["step", "key"]).any()
@@ -95,7 +92,7 @@ def poll(run: Path) -> None:
     assert index.load(run.parent)["run_id"].tolist() == [run.name]
 
 
-def test_killed_trainings_resume_to_the_same_numbers(job: Path) -> None:
+def test_killed_trainings_resume_to_the_same_numbers(job):
     wanted = 100 if FULL else 3
     process = start("kills", str(job), str(wanted), "0")
     polls = 0
@@ -120,7 +117,7 @@ def test_killed_trainings_resume_to_the_same_numbers(job: Path) -> None:
     print(f"{wanted} kills in {len(rounds)} trainings, {polls} polls")
 
 
-def test_the_same_command_twice_at_once_is_one_training(job: Path) -> None:
+def test_the_same_command_twice_at_once_is_one_training(job):
     """One process trains. The other says who does, with exit code 1, or that the run is finished, with 0."""
     rounds = lines(start("twins", str(job), str(50 if FULL else 2)))
     for line in rounds:
@@ -142,7 +139,7 @@ def test_the_same_command_twice_at_once_is_one_training(job: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def training(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def training(tmp_path_factory):
     """Eight steps. Its store is the one of an undisturbed run, `whole`."""
     scene = write_scene(tmp_path_factory.mktemp("scene") / "scene")
     steps = ["train.steps=8", "train.eval_every=3", "train.checkpoint_every=0"]
@@ -151,17 +148,17 @@ def training(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def whole(training: dict[str, Any]) -> Path:
+def whole(training):
     return experiment.run(training).path
 
 
 @pytest.fixture
-def config(training: dict[str, Any], tmp_path: Path) -> dict[str, Any]:
+def config(training, tmp_path):
     return training | {"store": str(tmp_path / "runs")}
 
 
 @pytest.fixture
-def disk(tmp_path: Path) -> Iterator[Path]:
+def disk(tmp_path):
     """A folder that is a disk of three megabytes, where this process may mount one."""
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -175,13 +172,11 @@ def disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True, timeout=20)
 
 
-def test_a_full_disk_stops_the_training_and_with_room_it_goes_on(
-    training: dict[str, Any], whole: Path, disk: Path
-) -> None:
+def test_a_full_disk_stops_the_training_and_with_room_it_goes_on(training, whole, disk):
     config = training | {"store": str(disk / "runs")}
     filler = disk / "filler"
 
-    def fill() -> None:
+    def fill():
         with contextlib.suppress(OSError), open(filler, "wb", buffering=0) as file:
             while True:
                 file.write(bytes(4096))
@@ -196,7 +191,7 @@ def test_a_full_disk_stops_the_training_and_with_room_it_goes_on(
     assert_equal_runs(experiment.run(config).path, whole)
 
 
-def test_a_foreign_checkpoint_is_one_line_and_without_it_the_numbers_stay(config: dict[str, Any], whole: Path) -> None:
+def test_a_foreign_checkpoint_is_one_line_and_without_it_the_numbers_stay(config, whole):
     run = interrupted(config, 5)
     path = run / "checkpoint.pt"
     content = torch.load(path, weights_only=True)

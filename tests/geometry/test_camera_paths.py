@@ -13,14 +13,14 @@ UP = np.array([0.0, 0, 1])
 TARGET = np.array([0.3, -0.2, 0.1])
 
 
-def ring(count: int = 24, arc: float = 2 * np.pi) -> np.ndarray:
+def ring(count=24, arc=2 * np.pi):
     """Cameras around `TARGET`, at distance 2 and height 0.5."""
     angle = np.arange(count) / count * arc
     centres = TARGET + np.stack([2 * np.cos(angle), 2 * np.sin(angle), np.full(count, 0.5)], axis=1)
     return np.stack([look_at(centre, TARGET, UP) for centre in centres])
 
 
-def forward(count: int = 20) -> np.ndarray:
+def forward(count=20):
     """Cameras side by side that all look along +y."""
     places = np.random.default_rng(0).uniform(-1, 1, (count, 3)) * [1, 0.1, 0.5]
     return np.stack([look_at(place, place + np.array([0.0, 1, 0]), UP) for place in places])

@@ -58,7 +58,7 @@ def test_uncontract_is_the_inverse(order, dtype, point):
 
 
 @EACH_ORDER
-def test_derivative_against_finite_differences(order):
+def test_contract_and_its_inverse_have_the_derivatives_of_finite_differences(order):
     x = torch.tensor([[0.3, -0.2, 0.1], [3.0, 1.0, -2.0], [-0.5, 40.0, 7.0], [1.5, 0.2, 0.9]], dtype=torch.float64)
     assert gradcheck(lambda p: contract(p, order), x.requires_grad_())
     inside = (0.8 * contract(x.detach(), order)).requires_grad_()
@@ -67,7 +67,7 @@ def test_derivative_against_finite_differences(order):
 
 @EACH_ORDER
 @EACH_DTYPE
-def test_far_away_and_infinite(order, dtype):
+def test_contract_takes_points_far_away_and_infinite_ones(order, dtype):
     inf = float("inf")
     x = torch.tensor(
         [[1e30, 0, 0], [-1e30, 1e30, 0], [0, inf, 1.0], [-inf, inf, 5.0], [3e38, -3e38, 3e38]],
@@ -102,7 +102,7 @@ def test_the_edge_of_space_is_far_but_finite(order):
 
 
 @pytest.mark.parametrize("name", ["box", "l2", "linf"])
-def test_components_go_there_and_back(name):
+def test_contractions_go_there_and_back(name):
     contraction = CONTRACTIONS.build(name)
     x = torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 6 - 3
     unit = contraction(x)
@@ -115,7 +115,7 @@ def test_components_go_there_and_back(name):
     assert CONTRACTIONS.names() == ["box", "l2", "linf"]
 
 
-def test_box():
+def test_a_box_maps_its_half_extent_to_the_unit_cube():
     box = CONTRACTIONS.build("box", half_extent=2.0)
     x = torch.tensor([[-2.0, 0, 2], [-3, 1, 6]])
     assert box(x).tolist() == [[0, 0.5, 1], [-0.25, 0.75, 2]]

@@ -19,7 +19,7 @@ def world():
     return ball()
 
 
-def inside_of(centre, radius, count=4000) -> torch.Tensor:
+def inside_of(centre, radius, count=4000):
     """Points (N, 3) of a ball, its surface among them."""
     random = np.random.default_rng(0)
     directions = random.normal(size=(count, 3))

@@ -7,14 +7,13 @@ import torch
 
 from qnerf.geometry.rays import RayTable
 from qnerf.geometry.sparse_depths import SparseDepths
-from qnerf.scenes import Scene
 from tests.helpers import worlds
 
 LAST = 11  # the view that is held out
 
 
 @pytest.fixture(params=[False, True], ids=["plain", "masked"])
-def ball(request: pytest.FixtureRequest) -> Scene:
+def ball(request):
     """A ball and points on the side of it that each view sees, one of them outside of the image."""
     scene = worlds.ball()
     sees = torch.arange(len(scene.cameras)).repeat(4)
@@ -25,7 +24,7 @@ def ball(request: pytest.FixtureRequest) -> Scene:
     return dataclasses.replace(scene, points=points, mask=mask if request.param else None)
 
 
-def test_rays_of_the_drawn_pixels_pass_their_points_at_the_drawn_distance(ball: Scene) -> None:
+def test_rays_of_the_drawn_pixels_pass_their_points_at_the_drawn_distance(ball):
     table = RayTable(ball, dtype=torch.float64, validation_stride=5)
     numbers, distances = SparseDepths(ball, 5).draw(200, torch.Generator().manual_seed(0))
     assert ((numbers + 1) % 5 != 0).all()
@@ -38,7 +37,7 @@ def test_rays_of_the_drawn_pixels_pass_their_points_at_the_drawn_distance(ball: 
     assert len(distances.unique()) > 2
 
 
-def test_points_that_no_training_view_sees_are_refused(ball: Scene) -> None:
+def test_points_that_no_training_view_sees_are_refused(ball):
     unseen = dataclasses.replace(ball, points=ball.points[ball.points[:, 0] == LAST])
     with pytest.raises(ValueError, match="none of the scene's 4 sparse points is on a training pixel"):
         SparseDepths(unseen)

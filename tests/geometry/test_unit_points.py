@@ -9,7 +9,7 @@ from qnerf.kernels import plain
 from qnerf.types import Rays, Samples
 
 
-def along(dtype: torch.dtype, longest: float) -> tuple[Rays, Samples]:
+def along(dtype, longest):
     """Rays with intervals from 1e-3 to `longest` world units; one ray is not a number."""
     generator = torch.Generator().manual_seed(0)
     rays, samples = 70, 37
@@ -40,11 +40,11 @@ def test_the_loop_gives_the_points_of_the_modules_to_the_last_bit():
 
 def test_a_contraction_and_a_mask_of_ones_own_are_called():
     class Half(Box):
-        def forward(self, points: torch.Tensor) -> torch.Tensor:
+        def forward(self, points):
             return super().forward(points) / 2
 
     class Outside(SpaceMask):
-        def forward(self, unit: torch.Tensor) -> torch.Tensor:
+        def forward(self, unit):
             return ~super().forward(unit)
 
     rays, samples = along(torch.float32, 3.0)

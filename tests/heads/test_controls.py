@@ -156,11 +156,11 @@ def test_hyper_runs_its_own_circuit_for_each_sample():
     for unitary in ("circuit", "local"):
         torch.manual_seed(0)
         head = HEADS.build("hyper", 8, 2, layers=2, unitary=unitary, gain=2.0).double()
-        x = torch.randn(4, 8, dtype=torch.float64)
+        x = torch.randn(2, 8, dtype=torch.float64)
         x[0, :3] = torch.tensor([0.0, 0.0, -1.0])  # a pole, where the longitude is any
         longitude = torch.atan2(x[:, 1], x[:, 0])
         latitude = torch.acos(torch.nn.functional.normalize(x[:, :3], dim=1)[:, 2])
-        angles = head.network(x[:, 3:]).view(4, 2, 3, 2)  # layer, wire, RZ and RY
+        angles = head.network(x[:, 3:]).view(2, 2, 3, 2)  # layer, wire, RZ and RY
 
         @qml.qnode(qml.device("default.qubit", wires=3), interface="torch")
         def values(start, turn, layers, entangled):

@@ -3,11 +3,9 @@
 import os
 from math import pi
 from random import Random
-from typing import Any
 
 import torch
 from hypothesis import strategies as st
-from torch import Tensor
 
 from qnerf.quantum.circuit import GATES, Amplitudes, Circuit, Gate, Hamiltonian, Probabilities, Weights, feature
 from qnerf.quantum.expressions import Expression
@@ -21,11 +19,11 @@ W = Weights("w", (2, 2))
 FEATURES = 3
 
 
-def random_circuit(number: int) -> Circuit:
+def random_circuit(number):
     """1 to 4 wires, 3 features, weights `w` (2, 2). Angles are numbers, special ones too, and polynomials."""
     rng = Random(number)
     n = rng.randint(1, 4)
-    operations: list[Any] = [_amplitudes(rng, n)] if rng.random() < 0.3 else []
+    operations = [_amplitudes(rng, n)] if rng.random() < 0.3 else []
     # Few gates of many, or many of few, which merge and cancel.
     names = [name for name, kind in GATES.items() if kind.wires <= n]
     names = names if rng.random() < 0.5 else rng.sample(names, min(5, len(names)))
@@ -43,21 +41,21 @@ def random_circuit(number: int) -> Circuit:
 any_circuits = st.integers(0, 10**6).map(random_circuit)
 
 
-def _angle(rng: Random) -> Expression:
+def _angle(rng):
     number = rng.choice([*SPECIAL, rng.uniform(-4, 4)])
     own, x = W[rng.randrange(2), rng.randrange(2)], feature(rng.randrange(FEATURES))
     kinds = [number, own, x, -0.5 * own, 3.0 * x, own + number, own + x, own * x + 0.3, x * x - own * own]
     return Expression.of(rng.choice(kinds))
 
 
-def _amplitudes(rng: Random, n: int) -> Amplitudes:
+def _amplitudes(rng, n):
     wires = rng.sample(range(n), rng.randint(1, min(n, 2)))
     parts = [[rng.choice([1.0, W[0, 0] + 2, feature(0) + 2, 0.3]) for _ in range(2 ** len(wires))] for _ in range(2)]
     return Amplitudes(tuple(wires), tuple(parts[0]), tuple(parts[1]) if rng.random() < 0.5 else ())
 
 
-def _observables(rng: Random, n: int) -> list[Any]:
-    def word() -> Any:
+def _observables(rng, n):
+    def word():
         return tuple((wire, rng.choice("XYZ")) for wire in rng.sample(range(n), rng.randint(1, n)))
 
     if rng.random() < 0.4:  # one letter a wire, as engines fold it into the last layer
@@ -69,11 +67,11 @@ def _observables(rng: Random, n: int) -> list[Any]:
     return [rng.choice(kinds)() for _ in range(rng.randint(1, 3))]
 
 
-def derivatives(y: Tensor, *inputs: Tensor) -> list[Tensor]:
+def derivatives(y, *inputs):
     """First derivatives of a random combination of y, and second ones of a random combination of those."""
     generator = torch.Generator().manual_seed(1)
 
-    def of(outputs: tuple[Tensor, ...]) -> list[Tensor]:
+    def of(outputs):
         parts = [own * torch.randn(own.shape, generator=generator, dtype=torch.float64) for own in outputs]
         total = torch.stack([part.sum() for part in parts]).sum()
         if not total.requires_grad:

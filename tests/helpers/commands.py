@@ -8,13 +8,11 @@ import shlex
 import sys
 import tomllib
 import warnings
-from collections.abc import Callable, Iterator
 from itertools import takewhile
 from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 
 from qnerf.cli import main as cli
 from tests.helpers.configs import ROOT, SWEEPS, worked_out
@@ -27,7 +25,7 @@ class Parsed(Exception):
     """The arguments were understood; nothing else is to happen."""
 
 
-def shown(file: Path) -> Iterator[str]:
+def shown(file):
     """Each command of a Markdown or YAML file: lines of code blocks, `code` in a sentence, lines of comments."""
     text = file.read_text().replace("\\\n", " ")
     if file.suffix == ".yaml":
@@ -43,7 +41,7 @@ def shown(file: Path) -> Iterator[str]:
                 yield re.sub(rf"^{SETTINGS}(?={START})", "", part.strip())
 
 
-def check(command: str) -> None:
+def check(command):
     """Raises an exception, or ends like argparse, where a command is not one that its parser takes."""
     words = list(takewhile(lambda word: word != ">", shlex.split(command, comments=True)))
     if words[0] == "pip":
@@ -61,17 +59,17 @@ def check(command: str) -> None:
         check_module(words[2], words[3:])
 
 
-def check_extras(words: list[str]) -> None:
+def check_extras(words):
     known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for extras in re.findall(r"(?:qnerf|\.)\[(.*?)\]", " ".join(words)):
         assert set(extras.split(",")) <= set(known), f"{extras}: known: {', '.join(known)}"
 
 
-CHECKED: set[str] = set()
+CHECKED = set()
 """The overrides that were in a configuration which was found valid."""
 
 
-def check_training(words: list[str]) -> None:
+def check_training(words):
     """Its sweep is there, and the overrides that no command before it had are valid in its configuration.
 
     That the jobs of a sweep are valid is in tests/config/test_conf.py.
@@ -89,7 +87,7 @@ def check_training(words: list[str]) -> None:
         CHECKED.update(job)
 
 
-def each_value(override: Override) -> list[str]:
+def each_value(override):
     """`key=value` for each value that a sweep would give it, or for both ends of an interval; of seeds, the first."""
     key, value = override.input_line.split("=", 1)
     if key == "seed" and override.is_sweep_override() and not override.is_interval_sweep():
@@ -101,7 +99,7 @@ def each_value(override: Override) -> list[str]:
     return [f"{key}={value}"]
 
 
-def check_module(name: str, arguments: list[str]) -> None:
+def check_module(name, arguments):
     """A module that parses arguments is run up to where it has understood them."""
     spec = importlib.util.find_spec(name)
     assert spec, f"no module {name}"
@@ -115,7 +113,7 @@ def check_module(name: str, arguments: list[str]) -> None:
             parse(lambda: runpy.run_module(name, run_name="__main__", alter_sys=True), [name, *arguments])
 
 
-def parse(program: Callable[[], None], arguments: list[str]) -> None:
+def parse(program, arguments):
     """Calls a program up to where it has parsed its arguments. One that is only mentioned has to have a help text."""
 
     def understood(parse_known):

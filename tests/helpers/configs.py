@@ -3,13 +3,12 @@
 import copy
 import functools
 import io
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 from unittest.mock import patch
 
 from hydra import compose, initialize_config_dir
-from omegaconf import Container, DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from qnerf.building.configuration import Configuration
 from qnerf.cli.compose import translated
@@ -18,7 +17,6 @@ from qnerf.cli.resolvers import HYDRA
 ROOT = Path(__file__).parents[2]
 CONF = ROOT / "conf"
 SWEEPS = ROOT / "sweeps"
-DATA = ROOT.parent / "shared" / "data"
 
 TINY = (
     "sampler.samples=[8,6]",
@@ -43,7 +41,7 @@ MOMENT = (
 
 def composed(*overrides: str, sweep: str = "") -> dict[str, Any]:
     """The resolved configuration that these overrides give on the command line, `-cd sweeps -cn sweep` where named."""
-    return OmegaConf.to_container(_compose(overrides, sweep), resolve=True)  # type: ignore[return-value]
+    return OmegaConf.to_container(_compose(overrides, sweep), resolve=True)
 
 
 def worked_out(*overrides: str, sweep: str = "") -> Configuration:
@@ -51,23 +49,23 @@ def worked_out(*overrides: str, sweep: str = "") -> Configuration:
     return Configuration.of(composed(*overrides, sweep=sweep))
 
 
-def swept(sweep: str) -> dict[str, str]:
+def swept(sweep):
     """What a file of sweeps/ sweeps over: option -> its values as the command line would give them."""
     return {key: str(values) for key, values in _compose((), sweep, hydra=True).hydra.sweeper.params.items()}
 
 
-def _compose(overrides: Sequence[str], sweep: str, hydra: bool = False) -> DictConfig:
+def _compose(overrides, sweep, hydra=False):
     search = [f"hydra.searchpath=[file://{CONF}]"] if sweep else []
     folder = str(SWEEPS if sweep else CONF)
     with initialize_config_dir(folder, **HYDRA), patch.object(OmegaConf, "load", _load):
         return compose(sweep or "config", [*map(translated, overrides), *search], return_hydra_config=hydra)
 
 
-def _load(file: TextIO) -> Container:
+def _load(file):
     """`OmegaConf.load` that parses each text once: compositions read two dozen files each, mostly the same ones."""
     return copy.deepcopy(_parsed(file.read()))
 
 
 @functools.cache
-def _parsed(text: str, load: Callable[[TextIO], Container] = OmegaConf.load) -> Container:
+def _parsed(text, load=OmegaConf.load):
     return load(io.StringIO(text))

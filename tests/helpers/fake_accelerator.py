@@ -7,10 +7,7 @@ so this is a program of its own. It ends with "done".
 """
 
 import sys
-from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import fields, is_dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -30,9 +27,7 @@ CASES = (("qiren", 1, None), ("qiren", 2, 0.1), ("cnot", 2, None), ("rx", 2, Non
 class OnDevice(TorchFunctionMode):
     """`torch.tensor(values, device=...)` goes by way of the CPU, because the device has no memory."""
 
-    def __torch_function__(
-        self, function: Callable[..., Any], types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
-    ) -> Any:
+    def __torch_function__(self, function, types, args=(), kwargs=None):
         kwargs = dict(kwargs or {})
         if function is torch.tensor and torch.device(kwargs.get("device") or "cpu").type == DEVICE:
             return torch.tensor(*args, **kwargs | {"device": "cpu"}).to(kwargs["device"])
@@ -41,7 +36,7 @@ class OnDevice(TorchFunctionMode):
         return function(*args, **kwargs)
 
 
-def moved(module: nn.Module) -> nn.Module:
+def moved(module):
     """The module with its parameters and buffers on the device."""
     for part in module.modules():
         for name, parameter in part._parameters.items():
@@ -53,14 +48,7 @@ def moved(module: nn.Module) -> nn.Module:
     return module
 
 
-def on_device(value: Any) -> Any:
-    """A dataclass of tensors on the device."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{field.name: on_device(getattr(value, field.name)) for field in fields(value)})
-    return value.detach().to(DEVICE) if torch.is_tensor(value) else value
-
-
-def check(name: str, outputs: Iterable[Tensor], inputs: Iterable[Tensor]) -> None:
+def check(name, outputs, inputs):
     """Differentiates the sum of the outputs: everything is on the device."""
     outputs, inputs = list(outputs), list(inputs)
     gradients = torch.autograd.grad(torch.stack([out.sum() for out in outputs]).sum(), inputs, allow_unused=True)
@@ -69,7 +57,7 @@ def check(name: str, outputs: Iterable[Tensor], inputs: Iterable[Tensor]) -> Non
     print(name)
 
 
-def main() -> None:
+def main():
     _setup_privateuseone_for_python_backend(DEVICE)
     getattr(torch, DEVICE).get_amp_supported_dtype = lambda: [torch.float16]  # which torch.autocast asks for
     torch.set_num_threads(1)
@@ -89,14 +77,14 @@ def main() -> None:
     print("done")
 
 
-def step(options: str) -> None:
+def step(options):
     """A training step as the trainer takes it: its rays, its terms, and backward.
 
     A number that is read, or a shape that depends on values, is an error of fake tensors.
     """
     config = composed(
-        "scene=poster", *TINY, *options.split(), "qiren.qubits=3", "hash=C7", "train.rays=8", "device=cpu",
-        "visibility.cameras=1", "visibility.resolution=16",
+        "scene=poster", "scene.views=6", *TINY, *options.split(), "qiren.qubits=3", "hash=C7", "train.rays=8",
+        "device=cpu", "visibility.cameras=1", "visibility.resolution=16",
     )  # fmt: skip
     trainer = built_trainer(config)
     model, table = trainer.model, trainer.table

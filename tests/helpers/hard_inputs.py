@@ -4,10 +4,9 @@ import math
 
 import torch
 from hypothesis import strategies as st
-from torch import Tensor
 
 from benchmarks.accuracy import errors, exact
-from benchmarks.accuracy_cases import Case, bound_in
+from benchmarks.accuracy_cases import bound_in
 
 TINY = torch.finfo(torch.float32).tiny
 """Least normal float32: below it numbers have few digits, and exp gives 0."""
@@ -15,12 +14,12 @@ TINY = torch.finfo(torch.float32).tiny
 seeds = st.integers(0, 2**31 - 1)
 
 
-def distance(found: Tensor, exact: Tensor) -> float:
+def distance(found, exact):
     """Largest difference, in float64; NaN if there is one anywhere."""
     return float((found.detach().double() - exact.detach().double()).abs().amax()) if exact.numel() else 0.0
 
 
-def held(case: Case) -> None:
+def held(case):
     """Every variant that has bounds keeps them, in float32 and float64."""
     expected = exact(case)
     for dtype in case.dtypes:

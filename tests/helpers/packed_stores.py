@@ -1,9 +1,6 @@
 """Small stores of runs through the real writer, with the numbers that a test asks for."""
 
 import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,18 +19,18 @@ COUNTS = {"2x64": 1222, "3x64": 5763, "1L2S": 491}
 
 
 def write_run(
-    store: Path,
-    field: str = "classical",
-    seed: int = 0,
-    psnr: Sequence[float] = (20.0, 22.0),
+    store,
+    field="classical",
+    seed=0,
+    psnr=(20.0, 22.0),
     *,
-    scene: str = "poster",
-    state: str = "finished",
-    config: Mapping[str, Any] | None = None,
-    columns: Mapping[str, Any] | None = None,
-    results: Mapping[str, Any] | None = None,
-    pictures: Mapping[str, np.ndarray] | None = None,
-) -> Path:
+    scene="poster",
+    state="finished",
+    config=None,
+    columns=None,
+    results=None,
+    pictures=None,
+):
     """One run whose views 0, 1, ... have these PSNR in dB; its summary has their mean. Returns its folder."""
     density, color = HEADS[field]
     settings = {"seed": seed, "scene": {"name": scene, "path": None}, "train": {"steps": 10}} | dict(config or {})

@@ -7,15 +7,26 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from tests.helpers.configs import ROOT
 
+PATIENCE = 300  # seconds, for a busy machine
 
-def start(module: str, *arguments: str, **options: Any) -> "subprocess.Popen[str]":
+
+def wait(ready, process=None):
+    """Returns once `ready()` is true. That it takes too long, or that the process ends before, is a failure."""
+    deadline = time.monotonic() + PATIENCE
+    while not ready():
+        assert process is None or process.poll() is None, "the process ended before its time"
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.02)
+
+
+def start(module, *arguments, **options):
     """`python -m tests.helpers.<module> ARGUMENTS`, on one thread, with this checkout's package; `options` of Popen."""
     path = os.pathsep.join([str(ROOT), str(ROOT / "src"), *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.Popen(
@@ -49,23 +60,23 @@ class Forked:
         self.pid = self.process.pid or 0
 
     @property
-    def returncode(self) -> int | None:
+    def returncode(self):
         return self.process.exitcode
 
-    def send_signal(self, number: int) -> None:
+    def send_signal(self, number):
         os.kill(self.pid, number)
 
-    def wait(self, timeout: float) -> int:
+    def wait(self, timeout):
         self.process.join(timeout)
         if self.returncode is None:
             raise subprocess.TimeoutExpired("qnerf", timeout)
         return self.returncode
 
-    def communicate(self, timeout: float) -> tuple[str, str]:
+    def communicate(self, timeout):
         """What it writes until it ends."""
         texts = ["", ""]
 
-        def read(number: int, stream: IO[str]) -> None:
+        def read(number, stream):
             texts[number] = stream.read()
 
         readers = [threading.Thread(target=read, args=pair) for pair in enumerate((self.stdout, self.stderr))]
@@ -76,7 +87,7 @@ class Forked:
             reader.join()
         return texts[0], texts[1]
 
-    def close(self) -> None:
+    def close(self):
         """Kills it and what it has started, if it has not ended."""
         if self.returncode is None:
             with contextlib.suppress(ProcessLookupError):
@@ -86,7 +97,7 @@ class Forked:
             stream.close()
 
 
-def call(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+def call(*arguments, **options):
     """What `qnerf ARGUMENTS` wrote and how it ended; `options` of `Forked`."""
     process = Forked(*arguments, **options)
     try:
@@ -96,19 +107,12 @@ def call(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
         process.close()
 
 
-def _text(end: Connection) -> IO[str]:
+def _text(end):
     with end:
         return open(os.dup(end.fileno()))
 
 
-def _command(
-    arguments: tuple[str, ...],
-    out: Connection,
-    err: Connection,
-    cwd: Path,
-    env: dict[str, str],
-    before: Callable[[], Any],
-) -> None:
+def _command(arguments, out, err, cwd, env, before):
     os.setsid()
     for number, end in ((1, out), (2, err)):
         os.dup2(end.fileno(), number)

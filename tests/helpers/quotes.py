@@ -19,9 +19,7 @@ parts. `<!-- measured at COMMIT -->` and `<!-- quoted from SOURCE -->` are for n
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from pathlib import Path
 
 import pandas as pd
 
@@ -43,13 +41,7 @@ EACH_ROW = re.compile(r"<!-- each row, (results|from|measured at|quoted from|che
 FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
-Cells = list[tuple[set[str], str]]
-"""The measured cells of a page: the words that name each, its text."""
-Holds = Callable[[str], bool]
-"""Whether a source has a quoted number."""
-
-
-def problems(text: str, pages: dict[str, Cells], root: Path = ROOT) -> list[str]:
+def problems(text, pages, root=ROOT):
     """One line for each number of a Markdown document that is not where it says, or that has no source."""
     lines = []
     for block, template in blocks(FENCE.sub("", text)):
@@ -64,7 +56,7 @@ def problems(text: str, pages: dict[str, Cells], root: Path = ROOT) -> list[str]
     return lines
 
 
-def blocks(text: str) -> Iterator[tuple[str, str]]:
+def blocks(text):
     """Paragraphs, list items and table rows, each with the comment that speaks for every row of its table."""
     for part in re.split(r"\n\s*\n|\n(?=\s*(?:- |\d+\. ))", text):
         if part.startswith("    ") and not part.lstrip().startswith(("- ", "<!--")):
@@ -78,7 +70,7 @@ def blocks(text: str) -> Iterator[tuple[str, str]]:
             yield rest, ""
 
 
-def spans(block: str, template: str) -> Iterator[tuple[str, str, str]]:
+def spans(block, template):
     """Text, kind of its source, source; of text after the last comment both are empty."""
     if template and not COMMENT.search(block):
         cells = [re.sub(r"[`*]", "", cell).strip() for cell in block.strip().strip("|").split("|")]
@@ -90,16 +82,16 @@ def spans(block: str, template: str) -> Iterator[tuple[str, str, str]]:
     yield block[end:], "", ""
 
 
-def plain(text: str) -> str:
+def plain(text):
     """Without code, emphasis and line breaks."""
     return " ".join(re.sub(r"`[^`]*`", "", text).replace("**", "").split())
 
 
-def quoted(text: str, more: str = "") -> list[str]:
+def quoted(text, more=""):
     return re.findall(QUOTE + more, plain(text))
 
 
-def unsourced(numbers: Sequence[str], names: str, source_of: Callable[[str], Holds]) -> list[str]:
+def unsourced(numbers, names, source_of):
     try:
         sources = {name: source_of(name) for part in names.split(";") for name in of_each_scene(part.strip())}
     except LookupError as error:
@@ -109,13 +101,13 @@ def unsourced(numbers: Sequence[str], names: str, source_of: Callable[[str], Hol
     return [f"{number!r} is not in {names}" for number in lost] + [f"no number is from {name!r}" for name in idle]
 
 
-def of_each_scene(name: str) -> list[str]:
+def of_each_scene(name):
     """`fox_64/poster 0.33 - 1` is a row of each of the two scenes."""
     scenes, space, row = name.partition(" ")
     return [name] if "/" not in scenes or not space else [f"{scene} {row}" for scene in scenes.split("/")]
 
 
-def on_page(pages: dict[str, Cells], page: str, name: str) -> Holds:
+def on_page(pages, page, name):
     """Of `SCENE WORDS [- WORDS]`, the cells of the row, or of the differences of either row from others."""
     first, minus, second = name.casefold().partition(" - ")
     scene = first.split()[0]
@@ -126,7 +118,7 @@ def on_page(pages: dict[str, Cells], page: str, name: str) -> Holds:
     return lambda number: any(agrees(number, text) for texts in cells for text in texts)
 
 
-def agrees(number: str, text: str) -> bool:
+def agrees(number, text):
     """Whether the cell has the number, rounded to the decimals of `number`, with either sign."""
     if "±" in number:
         return number.lstrip("+-") in text
@@ -134,13 +126,13 @@ def agrees(number: str, text: str) -> bool:
     return any(abs(abs(float(number)) - float(one)) <= near for one in re.findall(r"\d+\.\d+|\d+(?=%)", text))
 
 
-def in_file(file: Path, phrases: str) -> Holds:
+def in_file(file, phrases):
     """Whether a number is a value, rounded, of the one row of a parquet file whose text has all phrases."""
     rows = [numbers for text, numbers in parquet_rows(file) if all(phrase in text for phrase in phrases.split(" & "))]
     if len(rows) != 1:
         raise LookupError(f"{phrases!r} names {len(rows)} rows of {file.name}")
 
-    def holds(quote: str) -> bool:  # a number, or those of an interval
+    def holds(quote):  # a number, or those of an interval
         parts = re.findall(NUMBER, quote)
         return all(any(round(value, len(n.partition(".")[2])) == float(n) for value in rows[0]) for n in parts)
 
@@ -148,7 +140,7 @@ def in_file(file: Path, phrases: str) -> Holds:
 
 
 @cache
-def parquet_rows(file: Path) -> list[tuple[str, list[float]]]:
+def parquet_rows(file):
     """Text of a row, without its measured numbers; its measured numbers."""
     frame = pd.read_parquet(file)
     measured = frame.select_dtypes("floating")
@@ -158,7 +150,7 @@ def parquet_rows(file: Path) -> list[tuple[str, list[float]]]:
 
 
 @cache
-def results() -> dict[str, Cells]:
+def results():
     """The measured cells of each page of results."""
     pages = (ROOT / "docs" / "results").glob("*/README.md")
     return {page.parent.name: measured(page.read_text()) for page in pages}
@@ -168,7 +160,7 @@ MEASURES = re.compile(r"(?:(.+): )?((?:PSNR|exact|KS|distance error|error in oct
 """The heading of a measured column: `fox_64: PSNR, dB`, `against classical`."""
 
 
-def measured(page: str) -> Cells:
+def measured(page):
     """A cell's words: of its row, up to the first measured column, of the scene in its heading, and of each row."""
     found = []
     each = words_of(" ".join(re.findall(r"^In each row: (.*)\.$", page, re.MULTILINE)))
@@ -182,5 +174,5 @@ def measured(page: str) -> Cells:
     return found
 
 
-def words_of(text: str) -> set[str]:
+def words_of(text):
     return set(re.sub(r"\*\*|[,;](?= )", "", text).casefold().split())

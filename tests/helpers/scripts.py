@@ -14,17 +14,7 @@ from tests.helpers.circuits import SPECIAL
 
 NUMBERS = 6  # of weights, and of features
 UNITARY = np.linalg.qr(np.random.RandomState(0).randn(4, 4))[0]
-LABELS: list[list[Any]] = [
-    [0, 1, 2, 3],
-    [1, 0, 3, 2],
-    [1, 2, 0, 3],
-    [7, 2, 11, 5],
-    ["b", "a", "d", "c"],
-    ["q", 0, "r", -1],
-]
-
-Queue = Callable[[list[Any], list[Any]], Any]
-"""Queues an operation with some numbers, which may be one for each sample, on some wires."""
+LABELS = [[0, 1, 2, 3], [1, 0, 3, 2], [1, 2, 0, 3], [7, 2, 11, 5], ["b", "a", "d", "c"], ["q", 0, "r", -1]]
 
 
 class Axis(qml.operation.Operation):
@@ -32,11 +22,11 @@ class Axis(qml.operation.Operation):
 
     num_wires, num_params, ndim_params = 1, 1, (0,)
 
-    def __init__(self, x: Any, wires: Any, axis: str = "X", id: Any = None) -> None:
+    def __init__(self, x, wires, axis="X", id=None):
         self.axis = axis
         super().__init__(x, wires=wires, id=id)
 
-    def decomposition(self) -> list[Any]:
+    def decomposition(self):
         return [(qml.RX if self.axis == "X" else qml.RY)(self.data[0], wires=self.wires)]
 
 
@@ -46,15 +36,15 @@ class U3(qml.operation.Operation):
     num_wires, num_params, ndim_params = 1, 3, (0, 0, 0)
 
     @staticmethod
-    def compute_decomposition(*angles: Any, wires: Any) -> list[Any]:  # type: ignore[override]
+    def compute_decomposition(*angles: Any, wires: Any) -> list[Any]:
         return [gate(angle, wires) for gate, angle in zip((qml.RX, qml.RY, qml.RZ), angles, strict=True)]
 
 
-def _matrix(p: list[Any]) -> Any:
+def _matrix(p):
     return torch.matrix_exp(1j * p[0][..., None, None] * torch.tensor([[0, 1], [1, 0]], dtype=torch.complex128))
 
 
-OTHERS: dict[str, tuple[int, Queue]] = {
+OTHERS = {
     "Adjoint": (1, lambda p, w: qml.adjoint(qml.Rot(*p, wires=w[0]))),
     "Adjoint of a Clifford gate": (1, lambda p, w: qml.adjoint(qml.S(w[0]))),
     "Pow": (1, lambda p, w: qml.pow(qml.RX(p[0], wires=w[0]), 2)),
@@ -95,9 +85,10 @@ OTHERS: dict[str, tuple[int, Queue]] = {
     "AngleEmbedding": (2, lambda p, w: qml.AngleEmbedding(torch.stack(p[:2], -1), wires=w[:2], rotation="Y")),
     "IQPEmbedding": (3, lambda p, w: qml.IQPEmbedding(torch.stack(p, -1), wires=w[:3], n_repeats=2)),
 }  # fmt: skip
+"""Name -> number of wires, and what queues the operation, with numbers that may be one for each sample, on wires."""
 
 
-FUNCTIONS: list[Callable[[Any], Any]] = [lambda p: p, lambda p: p, torch.sin, torch.square, lambda p: np.pi * p]
+FUNCTIONS = [lambda p: p, lambda p: p, torch.sin, torch.square, lambda p: np.pi * p]
 
 
 class Script(NamedTuple):
@@ -108,7 +99,7 @@ class Script(NamedTuple):
     weights: Tensor
 
 
-def random_script(number: int) -> Script:
+def random_script(number):
     """1 to 4 wires. The weights are special numbers for half of the scripts."""
     rng = Random(number)
     n = rng.randint(1, 4)
@@ -126,7 +117,7 @@ def random_script(number: int) -> Script:
     measurements = [_measurement(rng, kind, rng.sample(labels, n)) for kind in kinds]
     container = rng.choice([list, tuple])
 
-    def function(inputs: Any, a: Any) -> Any:
+    def function(inputs, a):
         for queue in queued:
             queue(a, inputs)
         return container(measure(a) for measure in measurements)
@@ -136,9 +127,9 @@ def random_script(number: int) -> Script:
     return Script(function, labels, torch.tensor(numbers, dtype=torch.float64))
 
 
-def _operation(rng: Random, name: str, wires: list[Any]) -> Callable[[Any, Any], Any]:
+def _operation(rng, name, wires):
     places, function = rng.choices(range(NUMBERS), k=3), rng.choice(FUNCTIONS)
-    constant: Any = rng.choice(SPECIAL)
+    constant = rng.choice(SPECIAL)
     if name in GATES and GATES[name].angles > 1:  # PennyLane's own do not mix numbers and tensors
         constant = torch.tensor(constant, dtype=torch.float64)
     alike = name in OTHERS or name == "IsingXY"  # PennyLane's own IsingXY has no gradient of a batch of angles
@@ -148,7 +139,7 @@ def _operation(rng: Random, name: str, wires: list[Any]) -> Callable[[Any, Any],
     word = "".join(rng.choices("XYZ", k=rng.randint(1, len(wires))))  # of a word such as ZI, it loses a batch of one
     count = (GATES[name].wires or rng.randint(1, len(wires))) if name in GATES else len(wires)
 
-    def queue(a: Any, x: Any) -> Any:
+    def queue(a, x):
         sources = {"weight": a, "feature": x}
         angles = [constant if kind == "number" else function(sources[kind][..., place])
                   for kind, place in zip(kinds, places, strict=True)]  # fmt: skip
@@ -161,13 +152,13 @@ def _operation(rng: Random, name: str, wires: list[Any]) -> Callable[[Any, Any],
     return queue
 
 
-def _amplitudes(rng: Random, wires: list[Any]) -> Callable[[Any, Any], Any]:
+def _amplitudes(rng, wires):
     """A state of some wires: of weights or samples, padded, normalised, or of constants that are not normalised."""
     k = rng.randint(1, min(len(wires), 2))
     kind, own = rng.choice(["weights", "samples", "padded", "complex", "constant"]), rng.sample(wires, k)
     constant = np.exp(1j * np.arange(2**k)) * rng.choice([1.0, 0.5])
 
-    def queue(a: Any, x: Any) -> Any:
+    def queue(a, x):
         if kind == "constant":
             return qml.StatePrep(constant, wires=own, validate_norm=False)
         if kind == "complex":
@@ -180,10 +171,10 @@ def _amplitudes(rng: Random, wires: list[Any]) -> Callable[[Any, Any], Any]:
     return queue
 
 
-def _measurement(rng: Random, kind: str, wires: list[Any]) -> Callable[[Any], Any]:
+def _measurement(rng, kind, wires):
     word = "".join(rng.choices("XYZ", k=rng.randint(1, len(wires))))
 
-    def measure(a: Any) -> Any:
+    def measure(a):
         if kind == "state":
             return qml.state()
         if kind == "all probabilities":

@@ -1,24 +1,19 @@
-"""`qnerf serve` in a thread; a test module that imports this is skipped where its libraries are missing."""
+"""`qnerf serve` in a thread."""
 
 import contextlib
 import socket
 import threading
 import urllib.parse
 
-import pytest
-
-pytest.importorskip("uvicorn", reason="uvicorn is not installed")
-pytest.importorskip("starlette", reason="starlette is not installed")
-
 from qnerf.analysis.serve.__main__ import make, parser
 
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
 
-TOKENS: dict[int, str] = {}  # port -> token
+TOKENS = {}  # port -> token
 
 
-def cookie(address: str) -> dict[str, str]:
+def cookie(address):
     """The header with which a browser that has opened the printed address asks."""
     port = urllib.parse.urlsplit(address).port
     return {"Cookie": f"qnerf_token_{port}={TOKENS[port]}"}

@@ -1,9 +1,5 @@
 """Trainings that are stopped at a step."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from qnerf import experiment, records
@@ -12,10 +8,10 @@ from qnerf import experiment, records
 class At(experiment.Display):
     """Calls `action` after a step."""
 
-    def __init__(self, step: int, action: Callable[[], Any]) -> None:
+    def __init__(self, step, action):
         self.when, self.action = step, action
 
-    def step(self, step: int, metrics: Any) -> None:
+    def step(self, step, metrics):
         if step == self.when:
             self.action()
 
@@ -23,18 +19,18 @@ class At(experiment.Display):
 class StopsWhen(experiment.Display):
     """Stops once `condition` is true."""
 
-    def __init__(self, condition: Callable[[], bool]) -> None:
+    def __init__(self, condition):
         self.condition = condition
 
-    def stopping(self) -> bool:
+    def stopping(self):
         return self.condition()
 
 
-def interrupted(config: dict[str, Any], step: int, error: BaseException | None = None) -> Path:
+def interrupted(config, step, error=None):
     """The run of a training that ends by an error, default: Ctrl-C, after this step and before it is saved."""
     error = error or KeyboardInterrupt()
 
-    def fail() -> None:
+    def fail():
         raise error
 
     with pytest.raises(type(error)):

@@ -1,9 +1,6 @@
 """Runs for the tests of the store."""
 
 import json
-from typing import Any
-
-from qnerf.records import Run, RunStore
 
 CONFIG = {
     "seed": 0,
@@ -14,13 +11,13 @@ CONFIG = {
 }
 
 
-def claimed(store: RunStore, name: str = "a", **options: Any) -> Run:
+def claimed(store, name="a", **options):
     claim = store.claim(name, CONFIG, ["seed=0"], **options)
     assert claim.run is not None, claim.message
     return claim.run
 
 
-def vanish(run: Run, **left: Any) -> None:
+def vanish(run, **left):
     """Leaves the run as a killed process would: nothing more is written and its owner is not alive.
 
     left: what its files say about their owner; default: that a process with its number started at another time.

@@ -1,7 +1,6 @@
 """A small store of real runs, trained once a test session: two fields, two seeds, and runs that did not finish."""
 
 import shutil
-from pathlib import Path
 
 import qnerf
 from qnerf.experiment import run
@@ -13,7 +12,7 @@ FIELDS = ("classical", "qcolor")
 SEEDS = (0, 1)
 
 
-def sweep(folder: Path) -> Path:
+def sweep(folder):
     """The store below `folder`; it is there already if another test asked for it."""
     store = folder / "sweep"
     if store.exists():
@@ -28,11 +27,9 @@ def sweep(folder: Path) -> Path:
     return store
 
 
-def mixed(folder: Path) -> Path:
+def mixed(folder):
     """`sweep`, and photographs, a distance and tracked loops beside it in one store."""
     store = folder / "mixed"
-    if store.exists():
-        return store
     shutil.copytree(sweep(folder), store, symlinks=True)
     small = ["train.steps=4", "train.log_every=1", "train.eval_every=2", "train.points=64", "qiren.qubits=2"]
     for scene, size, head, seed in (

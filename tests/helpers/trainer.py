@@ -1,6 +1,6 @@
 """A model, its scene and a trainer from a configuration, without a store."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -25,19 +25,19 @@ class Built(NamedTuple):
     watch: Stopwatch
 
 
-def built(config) -> Built:
+def built(config):
     settings, scene = prepare(config).of_field()
     model = build_model(settings, scene)
     watch = Stopwatch(settings.torch_device, model, QuantumLayer)
     return Built(settings, scene, model, ray_table(settings, scene), watch)
 
 
-def trainer(config) -> Trainer:
+def trainer(config):
     settings, _, model, table, watch = built(config)
     return Trainer(model, table, settings, watch)
 
 
-def same(one: Any, other: Any) -> bool:
+def same(one, other):
     """Whether two values are bit-equal, also tensors in containers."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)

@@ -10,60 +10,66 @@ import contextlib
 import functools
 import io
 import json
+import multiprocessing
 import os
 import random
 import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 from qnerf import experiment
 from qnerf.cli import main
 from qnerf.records import RunStore
-from tests.helpers.jobs import fork
 
 SEEDS = 2  # different trainings
 
 
-def ended(pid: int) -> int:
+def forked(job, *arguments):
+    process = multiprocessing.get_context("fork").Process(target=job, args=arguments)
+    process.start()
+    return process
+
+
+def ended(process):
     """The exit code, or minus the signal that ended the process."""
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    process.join()
+    return process.exitcode
 
 
-def train(config: dict[str, Any]) -> None:
+def train(config):
     outcome = experiment.run(config)
     assert outcome.state == "finished", outcome.message
 
 
-def kills(config: dict[str, Any], root: Path, wanted: int, seed: int) -> None:
+def kills(config, root, wanted, seed):
     """Rows, heartbeats and checkpoints are written fifty times a second, so that kills hit them."""
-    experiment.RunStore = functools.partial(RunStore, every=0.02)  # type: ignore[assignment,misc]
+    experiment.RunStore = functools.partial(RunStore, every=0.02)
     rng = random.Random(seed)
     for number in range(SEEDS):
         whole = config | {"seed": number, "store": str(root / "whole")}
         begin = time.monotonic()
-        assert ended(fork(lambda whole=whole: train(whole))) == 0
+        assert ended(forked(train, whole)) == 0
         latest = time.monotonic() - begin  # seconds, with the present load of the machine
     number = landed = 0
     while landed < wanted:
         mine = config | {"seed": number % SEEDS, "store": str(root / f"killed-{number:03d}")}
-        pid = fork(lambda mine=mine: train(mine))
+        process = forked(train, mine)
         after = rng.uniform(0, latest)
         time.sleep(after)
-        os.kill(pid, signal.SIGKILL)
-        killed = ended(pid) == -signal.SIGKILL  # else it had finished: the load is smaller by now
+        process.kill()
+        killed = ended(process) == -signal.SIGKILL  # else it had finished: the load is smaller by now
         latest *= 1.03 if killed else 0.8
-        code = ended(fork(lambda mine=mine: train(mine)))
+        code = ended(forked(train, mine))
         print(json.dumps({"number": number, "after": after, "killed": killed, "code": code}), flush=True)
         landed += killed
         number += 1
 
 
-def twins(overrides: list[str], root: Path, rounds: int) -> None:
+def twins(overrides, root, rounds):
     os.environ["COLUMNS"] = "1000"  # lines stay whole
 
-    def command(seed: int, start: float) -> None:
+    def command(seed, start):
         output = io.StringIO()
         sys.argv = ["qnerf", "run", *overrides, f"store={root / 'twins'}", f"seed={seed}"]
         try:
@@ -76,9 +82,9 @@ def twins(overrides: list[str], root: Path, rounds: int) -> None:
 
     for seed in range(rounds):
         start = time.monotonic() + 0.05
-        pids = [fork(lambda seed=seed, start=start: command(seed, start)) for _ in range(2)]
-        codes = [ended(pid) for pid in pids]
-        texts = [(root / f"output-{pid}").read_text().splitlines() for pid in pids]
+        processes = [forked(command, seed, start) for _ in range(2)]
+        codes = [ended(process) for process in processes]
+        texts = [(root / f"output-{process.pid}").read_text().splitlines() for process in processes]
         outputs = [[line for line in text if line.startswith(("run ", str(root)))] for text in texts]
         print(json.dumps({"seed": seed, "codes": codes, "outputs": outputs}), flush=True)
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,19 +16,19 @@ BALL = 0.4  # radius in world units
 INTRINSICS = {"fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
 
 
-def look_at(centre, target) -> np.ndarray:
+def look_at(centre, target):
     """The pose (3, 4) of a camera at `centre` that looks at `target`, +z up."""
     return camera_paths.look_at(np.array(centre, dtype=float), np.array(target, dtype=float), np.array([0, 0, 1.0]))
 
 
-def ring(views: int, radius: float = 1.0, height: float = 0.5, outward: bool = False) -> np.ndarray:
+def ring(views, radius=1.0, height=0.5, outward=False):
     """Poses (V, 3, 4) on a circle around the z axis that look at the origin, or away from it."""
     angles = 2 * np.pi * np.arange(views) / views
     centres = [(radius * np.cos(angle), radius * np.sin(angle), height) for angle in angles]
     return np.stack([look_at(centre, 2 * np.array(centre) if outward else np.zeros(3)) for centre in centres])
 
 
-def cameras(poses: np.ndarray, width: int = 32, height: int = 24, focal: float = 30.0) -> Cameras:
+def cameras(poses, width=32, height=24, focal=30.0):
     views = len(poses)
     same = torch.ones(views, dtype=torch.float64)
     middle = width / 2 * same, height / 2 * same
@@ -37,7 +36,7 @@ def cameras(poses: np.ndarray, width: int = 32, height: int = 24, focal: float =
     return Cameras(torch.from_numpy(poses), focal * same, focal * same, *middle, lens, width, height)
 
 
-def scene(images: torch.Tensor, of: Cameras, **options) -> Scene:
+def scene(images, of, **options):
     """All views but the last train."""
     views = len(of)
     given = {
@@ -49,7 +48,7 @@ def scene(images: torch.Tensor, of: Cameras, **options) -> Scene:
     return Scene("world", images, of, **{**given, **options})
 
 
-def pixel_rays(of: Cameras, view: int) -> tuple[torch.Tensor, torch.Tensor]:
+def pixel_rays(of, view):
     """Origins and unit directions (H, W, 3) through the pixels' centres."""
     y, x = torch.meshgrid(torch.arange(of.height), torch.arange(of.width), indexing="ij")
     centres = torch.stack([x, y], dim=-1).reshape(-1, 2) + 0.5
@@ -57,7 +56,7 @@ def pixel_rays(of: Cameras, view: int) -> tuple[torch.Tensor, torch.Tensor]:
     return rays.origins.view(of.height, of.width, 3), rays.directions.view(of.height, of.width, 3)
 
 
-def balls(of: Cameras, *spheres: tuple[tuple[float, float, float], float]) -> torch.Tensor:
+def balls(of, *spheres):
     """Images (V, H, W, 4): alpha is 255 where the ray through a pixel's centre meets a sphere (centre, radius)."""
     images = torch.full((len(of), of.height, of.width, 4), 128, dtype=torch.uint8)
     images[..., 3] = 0
@@ -71,27 +70,27 @@ def balls(of: Cameras, *spheres: tuple[tuple[float, float, float], float]) -> to
     return images
 
 
-def ball(views: int = 12, size: int = 64, focal: float = 58.0, radius: float = BALL) -> Scene:
+def ball(views=12, size=64, focal=58.0, radius=BALL):
     """A ball at the origin, in the middle of all images and well inside them."""
     of = cameras(ring(views), size, size, focal)
     return scene(balls(of, ((0, 0, 0), radius)), of)
 
 
-def contradicting() -> Scene:
+def contradicting():
     """Silhouettes of a ball that is above the origin in every second view, and below it in the others."""
     of = cameras(ring(8), 64, 64, 58.0)
     images = [balls(of, ((0, 0, 0.35 * (-1) ** view), 0.05))[view] for view in range(8)]
     return scene(torch.stack(images), of)
 
 
-def bent() -> Scene:
+def bent():
     """A ball, seen through lenses that distort."""
     world = ball()
     lens = torch.full_like(world.cameras.distortion, 0.01)
     return dataclasses.replace(world, cameras=dataclasses.replace(world.cameras, distortion=lens))
 
 
-def texture(x: np.ndarray, y: np.ndarray, detail: float) -> np.ndarray:
+def texture(x, y, detail):
     """A grey pattern in [0.2, 0.8]; `detail` is its finest frequency in cycles a world unit."""
     random = np.random.default_rng(0)
     total = np.zeros_like(x)
@@ -101,7 +100,7 @@ def texture(x: np.ndarray, y: np.ndarray, detail: float) -> np.ndarray:
     return 0.5 + 0.3 * np.tanh(total / np.sqrt(12))
 
 
-def floor(views: int = 12, detail: float = 8.0, width: int = 48, height: int = 48, focal: float = 40.0) -> Scene:
+def floor(views=12, detail=8.0, width=48, height=48, focal=40.0):
     """Cameras in a row, 1 above a patterned floor, that look down at it: the views overlap their neighbours."""
     across = np.linspace(-0.6, 0.6, views)
     of = cameras(np.stack([look_at((x, 0.05, 1.0), np.array([x, 0.0, 0.0])) for x in across]), width, height, focal)
@@ -114,19 +113,19 @@ def floor(views: int = 12, detail: float = 8.0, width: int = 48, height: int = 4
     return scene(images, of)
 
 
-def constant(value: int, views: int = 6, channels: int = 3, **options) -> Scene:
+def constant(value, views=6, channels=3, **options):
     of = cameras(ring(views), **options)
     return scene(torch.full((views, of.height, of.width, channels), value, dtype=torch.uint8), of)
 
 
-def brightened(of: Scene, spread: float, seed: int = 0) -> Scene:
+def brightened(of, spread, seed=0):
     """Each view's values times a factor of its own, whose logarithm has this standard deviation."""
     drawn = np.random.default_rng(seed).normal(size=(len(of.images), 1, 1, 1))
     factors = torch.from_numpy(np.exp(spread * drawn / drawn.std()))
     return dataclasses.replace(of, images=(of.images * factors).round().clamp(0, 255).to(torch.uint8))
 
 
-def turned(of: Scene, degrees: float, seed: int = 0) -> Scene:
+def turned(of, degrees, seed=0):
     """Poses turned by random angles of this root mean square, each about the camera's own centre."""
     vectors = np.random.default_rng(seed).normal(size=(len(of.images), 3)) * np.deg2rad(degrees) / np.sqrt(3)
     poses = of.cameras.poses.clone()
@@ -134,7 +133,7 @@ def turned(of: Scene, degrees: float, seed: int = 0) -> Scene:
     return dataclasses.replace(of, cameras=dataclasses.replace(of.cameras, poses=poses))
 
 
-def write(of: Scene, folder: Path) -> Path:
+def write(of, folder):
     """The scene as a nerfstudio folder, which orients, centres and scales it anew."""
     (folder / "images").mkdir(parents=True)
     frames = []

@@ -2,8 +2,6 @@
 
 import io
 import re
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,7 +19,7 @@ from tests.helpers.packed_stores import picture, write_run
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Path:
+def store(tmp_path):
     panels = [np.full((4, 6, 3), shade, np.uint8) for shade in (50, 60, 70, 80)]
     for field in ("classical", "qcolor"):
         for seed in range(2):
@@ -30,11 +28,11 @@ def store(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def bad(store: Path) -> Path:
+def bad(store):
     return store / "poster-qcolor-s1"
 
 
-def change_summary(run: Path, **columns: pa.Array) -> None:
+def change_summary(run, **columns):
     table = pq.read_table(run / "summary.parquet")
     for name, column in columns.items():
         if name in table.schema.names:
@@ -43,7 +41,7 @@ def change_summary(run: Path, **columns: pa.Array) -> None:
     pq.write_table(table, run / "summary.parquet")
 
 
-DAMAGE: dict[str, tuple[Callable[[Path], None], str]] = {
+DAMAGE = {
     "time out of range": (
         lambda run: change_summary(run, psnr=pa.array([2**62], pa.timestamp("us"))),
         "Unsupported cast from timestamp",
@@ -59,7 +57,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], None], str]] = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_run_is_one_damaged_row(store: Path, bad: Path, damage: str) -> None:
+def test_a_damaged_run_is_one_damaged_row(store, bad, damage):
     spoil, reason = DAMAGE[damage]
     spoil(bad)
     frame = load.runs(store).set_index("run_id")
@@ -72,20 +70,20 @@ def test_a_damaged_run_is_one_damaged_row(store: Path, bad: Path, damage: str) -
     content.dates(load.runs(store))
 
 
-def test_a_stray_table_does_not_make_a_store_a_packed_folder(store: Path) -> None:
+def test_a_stray_table_does_not_make_a_store_a_packed_folder(store):
     pd.DataFrame({"x": [1]}).to_parquet(store / "runs.parquet")
     assert len(load.runs(store)) == 4
     assert len(packed.views(store / "poster-qcolor-s0")) == 2
 
 
-def test_a_run_without_readable_views_is_packed_as_damaged(store: Path, bad: Path, tmp_path: Path) -> None:
+def test_a_run_without_readable_views_is_packed_as_damaged(store, bad, tmp_path):
     (bad / "eval.parquet").write_bytes(b"PAR1")
     finished, problems = packed.pack(load.runs(store), tmp_path / "packed")
     assert (finished, len(problems)) == (3, 1)
     assert load.runs(tmp_path / "packed").set_index("run_id")["state"][bad.name] == "damaged"
 
 
-def header(width: int, height: int) -> bytes:
+def header(width, height):
     """A PNG of one pixel that says it is larger."""
     sink = io.BytesIO()
     Image.new("RGB", (1, 1)).save(sink, "PNG")
@@ -98,7 +96,7 @@ EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpa
 
 
 @pytest.mark.parametrize("data", [EPS, b"", b"GIF89a", header(2**20, 400), header(0, 0), header(4, 4)[:40]])
-def test_a_picture_is_a_small_png(store: Path, bad: Path, data: bytes) -> None:
+def test_a_picture_is_a_small_png(store, bad, data):
     (bad / "images" / "0.png").write_bytes(data)
     with pytest.raises(StoreError, match=r"0\.png: "):
         images.panels(images.pictures(bad)["0"])
@@ -108,7 +106,7 @@ def test_a_picture_is_a_small_png(store: Path, bad: Path, data: bytes) -> None:
     assert "1 pictures are damaged" in gathered.note
 
 
-def test_names_are_drawn_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_names_are_drawn_as_they_are(tmp_path, capsys):
     for field in ("classical", "qcolor"):
         write_run(tmp_path / "runs", field)
     frame = load.runs(tmp_path / "runs").assign(scene_name="$\\frac{ \x1b", encoder=["$x_{", "$y^$"])
@@ -116,10 +114,8 @@ def test_names_are_drawn_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "$\\frac{ \\x1b" in (tmp_path / "out" / "speed.svg").read_text()
 
 
-def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
-    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: object, **__: object) -> None:
+def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(store, tmp_path, capsys, monkeypatch):
+    def broken(*_, **__):
         raise KeyError("column")
 
     monkeypatch.setattr("qnerf.analysis.figures.catalogue.Entry.draw", broken)

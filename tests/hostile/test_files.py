@@ -4,9 +4,6 @@ import io
 import json
 import os
 import pickle
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,12 +15,12 @@ from qnerf.records import RunStore, StoreError
 from tests.helpers.stores import CONFIG, claimed
 
 
-def store(tmp_path: Path) -> RunStore:
+def store(tmp_path):
     return RunStore(tmp_path / "runs", every=60)
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
+def run(tmp_path):
     """An interrupted run with ten rows, a checkpoint and the one before."""
     run = claimed(store(tmp_path))
     for step in range(10):
@@ -34,22 +31,21 @@ def run(tmp_path: Path) -> Path:
     return run.dir
 
 
-def goes_on(run: Path) -> None:
+def goes_on(run):
     """The same command continues the run."""
     assert records.state(run) == "interrupted"
     claim = RunStore(run.parent).claim(run.name, CONFIG)
     assert claim.outcome == "resumed", claim.message
-    assert claim.run is not None
     claim.run.interrupt()
 
 
-def refused(reader: Callable[[Path], Any], run: Path, match: str) -> None:
+def refused(reader, run, match):
     with pytest.raises(StoreError, match=match) as error:
         reader(run)
     assert "\n" not in str(error.value)
 
 
-def test_damaged_status_reads_as_interrupted(run: Path) -> None:
+def test_damaged_status_reads_as_interrupted(run):
     odd = ["", "[]", "{", "null", '"x"', '{"state": {"state": "running"}}', "\x00",
            '{"state": "finished?"}', '{"state": "running"}', '{"state": 1}']  # fmt: skip
     for text in odd:
@@ -57,14 +53,14 @@ def test_damaged_status_reads_as_interrupted(run: Path) -> None:
         goes_on(run)
 
 
-def spoil_records(run: Path, **values: Any) -> None:
+def spoil_records(run, **values):
     """Sets keys in status.json and in the owner's file, which are old."""
     for path in [run / "status.json", *run.glob("owner/*.json")]:
         path.write_text(json.dumps(json.loads(path.read_text()) | values))
         os.utime(path, (0, 0))
 
 
-def test_pid_that_is_not_the_writer_s_does_not_hold_a_run(run: Path) -> None:
+def test_pid_that_is_not_the_writer_s_does_not_hold_a_run(run):
     """Another user's process, not a number."""
     for pid in (1, 2**70, "../1", None, [1]):
         spoil_records(run, state="running", pid=pid, heartbeat=0, since=0, released=False)
@@ -86,7 +82,7 @@ CONFIGS = (
 )
 
 
-def test_hostile_yaml_is_refused(run: Path, tmp_path: Path) -> None:
+def test_hostile_yaml_is_refused(run, tmp_path):
     for text in CONFIGS:
         data = text.replace("OWNED", str(tmp_path / "owned")).encode(errors="surrogateescape")
         (run / "config.yaml").write_bytes(data)
@@ -99,13 +95,13 @@ def test_hostile_yaml_is_refused(run: Path, tmp_path: Path) -> None:
     assert records.read_config(run) == CONFIG  # with the command's own
 
 
-def test_a_date_in_yaml_stays_text(run: Path) -> None:
+def test_a_date_in_yaml_stays_text(run):
     """As Hydra takes it."""
     (run / "config.yaml").write_text("a: 2001-01-01\nb: 2001-99-99\n")
     assert records.read_config(run) == {"a": "2001-01-01", "b": "2001-99-99"}
 
 
-def test_a_file_that_is_no_table_is_damaged(run: Path) -> None:
+def test_a_file_that_is_no_table_is_damaged(run):
     for data in (b"", b"PAR1", b"PAR1" + bytes(100) + b"PAR1", b"hello", bytes(2**16)):
         (run / "metrics" / "part-00000.parquet").write_bytes(data)
         (run / "summary.parquet").write_bytes(data)
@@ -113,9 +109,9 @@ def test_a_file_that_is_no_table_is_damaged(run: Path) -> None:
         refused(records.read_summary, run, r"summary\.parquet: damaged")
 
 
-def test_other_columns_are_damaged(run: Path) -> None:
+def test_other_columns_are_damaged(run):
     metrics = {"step": [1], "time_s": [0.0], "key": ["a"], "value": [1.0]}
-    odd: tuple[dict[str, Any], ...] = ({"more": [1]}, {"step": ["x"]}, {"value": [[1.0]]}, {"key": [{"a": 1}]})
+    odd = ({"more": [1]}, {"step": ["x"]}, {"value": [[1.0]]}, {"key": [{"a": 1}]})
     for columns in ({"step": [1]}, *(metrics | other for other in odd)):
         pq.write_table(pa.table(columns), run / "metrics" / "part-00000.parquet")
         refused(records.read_metrics, run, r"part-00000\.parquet: damaged")
@@ -129,14 +125,14 @@ def test_other_columns_are_damaged(run: Path) -> None:
 class Command:
     """Unpickling it runs a shell command."""
 
-    def __init__(self, command: str) -> None:
+    def __init__(self, command):
         self.command = command
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self):
         return os.system, (self.command,)
 
 
-def saved(content: object, **options: bool) -> bytes:
+def saved(content, **options):
     data = io.BytesIO()
     torch.save(content, data, **options)
     return data.getvalue()
@@ -151,7 +147,7 @@ def saved(content: object, **options: bool) -> bytes:
     ],
     ids=["archive", "legacy", "pickle"],
 )
-def test_hostile_checkpoint_is_not_executed(run: Path, tmp_path: Path, spoil: Callable[[Path, str], None]) -> None:
+def test_hostile_checkpoint_is_not_executed(run, tmp_path, spoil):
     spoil(run / "checkpoint.pt", f"touch {tmp_path / 'owned'}")
     resumed = claimed(store(tmp_path))
     assert resumed.load_checkpoint() == {"step": 8}

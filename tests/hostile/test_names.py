@@ -1,7 +1,5 @@
 """Folders in a store may have any name."""
 
-from pathlib import Path
-
 import pytest
 
 from qnerf import records
@@ -9,20 +7,10 @@ from qnerf.config.identity import is_unicode
 from qnerf.records import RunStore, annotations, details, find, index
 from tests.helpers.stores import CONFIG, claimed
 
-NAMES = [
-    "-rf",
-    "a b",
-    "new\nline",
-    "\x1b[31mred",
-    "\u202eabc",
-    "$(touch owned)",
-    "ünï-漢字",
-    "x" * 250,
-    "a'\"&<b>",
-]
+NAMES = ["-rf", "a b", "new\nline", "\x1b[31mred", "\u202eabc", "$(touch owned)", "ünï-漢字", "x" * 250, "a'\"&<b>"]
 
 
-def test_folders_of_any_name_are_found_read_and_told(tmp_path: Path) -> None:
+def test_folders_of_any_name_are_found_read_and_told(tmp_path):
     root = tmp_path / "runs"
     started = claimed(RunStore(root))
     started.log(1, 0.0, {"loss": 1.0})
@@ -40,14 +28,14 @@ def test_folders_of_any_name_are_found_read_and_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../a", "a/b", "", ".a", ".", "..", "a b", "a" * 300, "a\n", "-a", "a\0b"])
-def test_a_hostile_name_is_no_run_s(tmp_path: Path, name: str) -> None:
+def test_a_hostile_name_is_no_run_s(tmp_path, name):
     with pytest.raises(ValueError, match="run_id: expected letters") as error:
         RunStore(tmp_path / "runs").claim(name, CONFIG)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_store_ignores_what_else_lies_in_it(tmp_path: Path) -> None:
+def test_a_store_ignores_what_else_lies_in_it(tmp_path):
     """Files, hidden folders and broken links are not runs; an empty folder is an interrupted run."""
     run = tmp_path / "runs" / "a"
     claimed(RunStore(run.parent)).interrupt()
@@ -60,7 +48,7 @@ def test_a_store_ignores_what_else_lies_in_it(tmp_path: Path) -> None:
     assert records.state(run.parent / "empty") == "interrupted"
 
 
-def test_text_that_is_not_utf8_is_one_damaged_row_or_refused_where_it_comes_in(tmp_path: Path) -> None:
+def test_text_that_is_not_utf8_is_one_damaged_row_or_refused_where_it_comes_in(tmp_path):
     for name in ("a", "b"):
         claimed(RunStore(tmp_path), name).finish()
     with pytest.raises(ValueError, match="expected a note in UTF-8, got 'gr"):
@@ -77,9 +65,8 @@ def test_text_that_is_not_utf8_is_one_damaged_row_or_refused_where_it_comes_in(t
     assert index.load(tmp_path)["state"].tolist() == ["damaged", "damaged"]
 
 
-def test_a_path_that_is_not_utf8_has_question_marks_in_a_run(tmp_path: Path) -> None:
+def test_a_path_that_is_not_utf8_has_question_marks_in_a_run(tmp_path):
     claim = RunStore(tmp_path).claim("a", {**CONFIG, "label": "gr\udcfcn"}, ["scene.path=gr\udcfcn"])
-    assert claim.run is not None
     claim.run.write_environment({"command": ["gr\udcfcn"]})
     claim.run.finish()
     assert details.read(claim.dir)["problems"] == []

@@ -1,6 +1,5 @@
 """Which compiled loops serve a call, and what is said where one steps aside: kernels/dispatch.py."""
 
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import pytest
@@ -28,14 +27,14 @@ class Windowed(HashEncoder):
         super().__init__(in_dim, **grid)
 
 
-def field(encoder: nn.Module | None = None, head: nn.Module | None = None) -> Field:
+def field(encoder=None, head=None):
     encoder = encoder or HashEncoder(3, **GRID)
     head = head or MLPHead(encoder.out_dim, 4, width=8)
     activations = (torch.exp, torch.sigmoid)
     return Field(CubeContraction(), encoder, nn.Identity(), head, nn.Identity(), *activations, 1.0, 1, [0], 0)
 
 
-def aside(one: Field, points: torch.Tensor | None = None) -> dict[str, str]:
+def aside(one, points=None):
     """What steps aside where the field is evaluated; its values are those of the modules."""
     points = torch.rand(4, 3, 3) if points is None else points
     with report() as told:
@@ -46,22 +45,22 @@ def aside(one: Field, points: torch.Tensor | None = None) -> dict[str, str]:
     return told
 
 
-def hooked(one: Field) -> Field:
+def hooked(one):
     one.density_head.net[0].register_forward_hook(lambda *_: None)
     return one
 
 
-def replaced(one: Field, number: int, layer: nn.Module) -> Field:
+def replaced(one, number, layer):
     one.density_head.net[number] = layer
     return one
 
 
-def with_own_forward(one: Field) -> Field:
+def with_own_forward(one):
     one.encoder.forward = lambda points: HashEncoder.forward(one.encoder, points)
     return one
 
 
-REASONS: dict[str, Callable[[], Field]] = {
+REASONS = {
     "Windowed extends HashEncoder": lambda: field(Windowed(3, **GRID)),
     "frequency_window of HashEncoder": lambda: field(HashEncoder(3, **GRID, frequency_window=0.5)),
     "hooks on Linear": lambda: hooked(field()),
@@ -96,7 +95,7 @@ def test_known_classes_exist_and_have_the_options_of_the_table():
             assert dispatch._options(kind) == options, path
 
 
-def test_dtypes_devices_and_transformations():
+def test_loops_serve_the_dtypes_devices_and_modules_that_they_know():
     x = torch.zeros(2)
     told = {
         "float16": lambda: serves("hash grid", x.half()),

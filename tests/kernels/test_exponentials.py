@@ -16,7 +16,7 @@ FUNCTIONS = {
 }
 
 
-def inputs(name: str) -> np.ndarray:
+def inputs(name):
     random = np.random.default_rng(0)
     wide = random.uniform(-100, 88, 20_000)
     near = random.normal(0, 1e-3, 2_000)

@@ -39,7 +39,7 @@ def parameters(grid, layers):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @settings(max_examples=40)
 @given(**CASES)
-def test_values_and_gradients_are_those_of_the_reference(dtype, **options):
+def test_hash_grid_with_mlp_has_the_values_and_gradients_of_the_reference(dtype, **options):
     points, inside, *layers = case(**options, dtype=dtype)
     fast, slow = grid_mlp(points, inside, *layers), grid_mlp_reference(points, inside, *layers)
     eps = torch.finfo(dtype).eps
@@ -74,7 +74,7 @@ WRONG = [
 ]
 
 
-def test_wrong_arguments_are_refused():
+def test_hash_grid_with_mlp_refuses_wrong_arguments():
     arguments = case(300, 0.5, 2, 2, [8, 3], True, 0, torch.float32)
     for message, change in WRONG:
         with pytest.raises(ValueError, match=message):

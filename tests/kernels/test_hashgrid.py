@@ -151,7 +151,7 @@ def test_strided_and_expanded_tensors():
     assert torch.equal(leaf.grad.transpose(1, 2), whole.grad)
 
 
-WRONG: list[tuple[str, dict[str, torch.Tensor]]] = [
+WRONG = [
     (r"points must be \(N, 3\)", {"points": torch.zeros(4, 2)}),
     ("power of two", {"table": torch.zeros(2, 6, 1)}),
     ("power of two", {"table": torch.zeros(2, 1, 1)}),
@@ -164,7 +164,7 @@ WRONG: list[tuple[str, dict[str, torch.Tensor]]] = [
 ]
 
 
-def test_what_does_not_fit_is_one_line():
+def test_hash_grid_refuses_tensors_that_do_not_fit():
     right = {"points": torch.zeros(4, 3), "table": torch.zeros(2, 8, 1), "resolutions": torch.tensor([1, 2])}
     for message, change in WRONG:
         with pytest.raises(ValueError, match=message) as error:

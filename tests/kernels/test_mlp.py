@@ -33,7 +33,7 @@ def case(count, widths, dtype, seed):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @settings(max_examples=40)
 @given(count=st.integers(0, 2500), widths=WIDTHS, seed=st.integers(0, 2**31), first=st.sampled_from([0, 1]))
-def test_values_and_gradients_are_those_of_the_reference(dtype, count, widths, seed, first):
+def test_mlp_has_the_values_and_gradients_of_the_reference(dtype, count, widths, seed, first):
     rows, layers, leaves = case(count, widths, dtype, seed)
     # Of -1, 0 and 1 all values are exact, so that the same units are positive.
     with torch.no_grad():
@@ -64,7 +64,7 @@ def test_a_row_that_is_not_a_number_has_values_that_are_none():
     assert values[[*range(3), *range(4, 200)]].isfinite().all()
 
 
-def test_wrong_shapes_are_refused():
+def test_mlp_refuses_wrong_shapes():
     rows, layers, _ = case(5, [3, 4, 2], torch.float32, 3)
     for wrong in ((rows[:, :2], layers), (rows, layers[1:]), (rows, []), (rows, [layers[0]._replace(bias=rows[0])])):
         with pytest.raises(ValueError, match="features expected, got the shapes"):
@@ -73,27 +73,14 @@ def test_wrong_shapes_are_refused():
         mlp(rows[None], layers)
 
 
-def test_a_head_says_why_the_loop_steps_aside():
-    class Own(MLPHead):
-        pass
-
-    def reason(head, rows, mixed=False):
-        with report() as told, torch.autocast("cpu", torch.bfloat16, enabled=mixed):
-            values = head(rows)
-            expected = head.net(rows)
-        torch.testing.assert_close(values, expected)
-        return told
-
+def test_a_head_takes_no_loop_where_its_dtype_or_a_transformation_has_none():
+    """What else makes a loop step aside is in `test_dispatch`."""
     rows, head = torch.randn(5, 3), MLPHead(3, 2, layers=3, width=8)
-    assert reason(head, rows) == {}
-    assert reason(head, rows, mixed=True) == {"MLP": "autocast"}
-    assert reason(Own(3, 2), rows) == {"MLP": "Own extends MLPHead"}
-    assert reason(MLPHead(3, 2).to(torch.bfloat16), rows.bfloat16()) == {"MLP": "bfloat16"}
-    head.net[1] = torch.nn.Tanh()
-    assert reason(head, rows) == {"MLP": "not linear layers with biases and ReLU between them"}
-    head = MLPHead(3, 2)
-    head.net[0].register_forward_hook(lambda *_: None)
-    assert reason(head, rows) == {"MLP": "hooks on Linear"}
-    torch.testing.assert_close(
-        torch.func.vmap(MLPHead(3, 2).requires_grad_(False))(rows[None]), torch.zeros(1, 5, 2), atol=9, rtol=0
-    )
+    with report() as told, torch.autocast("cpu", torch.bfloat16):
+        torch.testing.assert_close(head(rows), head.net(rows))
+    assert told == {"MLP": "autocast"}
+    with report() as told:
+        head.to(torch.bfloat16)(rows.bfloat16())
+    assert told == {"MLP": "bfloat16"}
+    frozen = MLPHead(3, 2).requires_grad_(False)
+    torch.testing.assert_close(torch.func.vmap(frozen)(rows[None])[0], frozen(rows))

@@ -12,11 +12,10 @@ from qnerf.kernels import plain
 from qnerf.kernels.dispatch import report
 from qnerf.kernels.proposals import KNOWN_SPACINGS
 from qnerf.rendering.proposal_sampler import ProposalSampler
-from qnerf.rendering.samplers import SampledRays
 from qnerf.types import Rays
 
 
-def sampler(**options) -> ProposalSampler:
+def sampler(**options):
     torch.manual_seed(0)
     made = ProposalSampler(CubeContraction(), samples=[10, 7], final=5, max_resolutions=[16, 24], **options)
     for network in made.networks:
@@ -24,14 +23,14 @@ def sampler(**options) -> ProposalSampler:
     return made
 
 
-def rays(count: int, dtype: torch.dtype) -> Rays:
+def rays(count, dtype):
     directions = torch.nn.functional.normalize(torch.randn(count, 3), dim=-1)
     ends = torch.rand(2, count, 1) + torch.tensor([0.05, 3.0])[:, None, None]
     views = torch.zeros(count, dtype=torch.int64)
     return Rays(torch.rand(count, 3).to(dtype), directions.to(dtype), views, *ends.to(dtype))
 
 
-def values(found: SampledRays) -> list[torch.Tensor]:
+def values(found):
     proposals = [value for samples, weights in found.proposals for value in (samples.edges, samples.spacing, weights)]
     return [found.samples.edges, found.samples.spacing, *proposals]
 

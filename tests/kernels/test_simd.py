@@ -4,7 +4,6 @@ import os
 import platform
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -25,7 +24,7 @@ assert VECTOR_BYTES == 32 and np.array_equal(out, rows)
 
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="haswell is an x86 processor")
-def test_vectors_of_another_processor(tmp_path: Path) -> None:
+def test_vectors_of_another_processor(tmp_path):
     script = tmp_path / "gather.py"
     script.write_text(GATHER)
     target = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}

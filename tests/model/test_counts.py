@@ -2,8 +2,6 @@
 
 import csv
 
-import torch
-
 from qnerf.building.components import component
 from qnerf.building.model import build_field
 from qnerf.encoders import ENCODERS
@@ -11,20 +9,20 @@ from qnerf.model.labels import hash_tables
 from tests.helpers.configs import ROOT, worked_out
 
 
-def rows(name: str) -> list[dict[str, str]]:
+def rows(name):
     with (ROOT / "docs" / "tools" / "paper" / f"{name}.csv").open() as file:
         return list(csv.DictReader(file))
 
 
-def count(module: torch.nn.Module) -> int:
+def count(module):
     return sum(p.numel() for p in module.parameters())
 
 
-def field(*overrides: str):
+def field(*overrides):
     return build_field(worked_out(*overrides).settings, views=1, trained=[0])
 
 
-def circuit(head: str, label: str) -> list[str]:
+def circuit(head, label):
     layers, spectral = label.rstrip("S").split("L+")
     return [f"{head}.qiren.layers={layers}", f"{head}.qiren.spectral={spectral}"]
 
@@ -59,7 +57,7 @@ def test_encoders_of_the_hash_table():
 
 
 def test_heads_of_the_hsv_study():
-    def built(*overrides: str):
+    def built(*overrides):
         return build_field(worked_out(*overrides, sweep="hsv").settings, views=1, trained=[0])
 
     classical = built("field=classical", "geo_features=11", "color.mlp.width=12")

@@ -25,7 +25,7 @@ def points():
 DIRECTIONS = torch.nn.functional.normalize(torch.arange(15.0).view(5, 3) - 6, dim=-1)
 
 
-def test_shapes_and_ranges(field, points):
+def test_field_values_have_their_shapes_and_ranges(field, points):
     density, color = field(points, DIRECTIONS, torch.arange(5) % 4)
     assert density.shape == (5, 7)
     assert color.shape == (5, 7, 3)
@@ -65,7 +65,7 @@ def test_a_view_without_an_embedding_gets_the_mean_of_the_trained_ones(field, po
     torch.testing.assert_close(unknown, mean)
 
 
-def masked(field, grid) -> list[torch.Tensor]:
+def masked(field, grid):
     """Density, geometry, the rendering on last_sample and on white, and the gradients of both, with the mask."""
     generator = torch.Generator().manual_seed(2)
     edges = torch.rand(6, 9, dtype=torch.float64, generator=generator).mul(4).sort(-1).values

@@ -1,11 +1,7 @@
 """The whole model under forward-mode differentiation and torch.func: the derivatives are those of the backward pass."""
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 import torch
-from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import functional_call, jvp
 
@@ -25,12 +21,12 @@ MODELS = {
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_rendered_colours_along_a_direction_of_all_parameters(tiny: Callable[..., Any], name: str) -> None:
+def test_the_rendered_colours_along_a_direction_of_all_parameters(tiny, name):
     _, _, model, table, watch = built(tiny("numerics.dtype=float64", *MODELS[name]))
     model.eval()
     rays = table.view(0)[torch.arange(0, len(table.view(0)), 9)]
 
-    def color(parameters: dict[str, Tensor]) -> Tensor:
+    def color(parameters):
         rendering, _, _ = functional_call(
             model, parameters, (rays,), {"background": "white", "step": 3, "watch": watch}
         )
@@ -51,12 +47,12 @@ def test_the_rendered_colours_along_a_direction_of_all_parameters(tiny: Callable
 
 
 @pytest.mark.parametrize("contraction", [CONTRACTIONS.build("linf"), Box(half_extent=2.0)], ids=["cube", "box"])
-def test_points_keep_their_tangents(contraction: Any) -> None:
+def test_points_keep_their_tangents(contraction):
     origins, directions = torch.randn(2, 5, 3, dtype=torch.float64)
     ones = torch.ones(5, 1, dtype=torch.float64)
     edges = torch.linspace(0.1, 4, 7, dtype=torch.float64).expand(5, -1)
 
-    def points(origins: Tensor) -> Tensor:
+    def points(origins):
         rays = Rays(origins, directions, torch.zeros(5, dtype=torch.int64), 0.1 * ones, 4 * ones)
         return unit_points(rays, Samples(edges, edges), contraction, None)[0]
 

@@ -11,18 +11,18 @@ from tests.helpers.hard_inputs import held
 CASES = every()
 
 
-def test_cases_have_names_of_their_own() -> None:
+def test_cases_have_names_of_their_own():
     assert len({case.id for case in CASES}) == len(CASES)
 
 
-def test_hard_cases() -> None:
+def test_hard_cases():
     for case in CASES:
         for tensor in case.inputs:
             assert not tensor.is_floating_point() or (rounded(tensor) == tensor).all(), case.id
         held(case)
 
 
-def test_relative_error_is_infinite_where_a_nan_hides() -> None:
+def test_relative_error_is_infinite_where_a_nan_hides():
     exact = rounded([1.0, -4.0, math.inf])
     assert relative(rounded([1.5, -4.0, math.inf]), exact) == 0.125
     for wrong in ([1.0, -4.0, 5.0], [1.0, math.nan, math.inf], [1.0, -4.0, -math.inf]):
@@ -30,7 +30,7 @@ def test_relative_error_is_infinite_where_a_nan_hides() -> None:
     assert relative(rounded([math.nan]), rounded([math.nan])) == 0
 
 
-def test_page_shows_the_largest_errors_and_broken_bounds_are_found() -> None:
+def test_page_shows_the_largest_errors_and_broken_bounds_are_found():
     case = next(case for case in CASES if case.id == "losses: distortion, coincident edges")
     frame = pd.DataFrame(measure(case, repeats=1))
     assert beyond(frame).empty

@@ -6,9 +6,7 @@ from itertools import product
 import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
-from torch import Tensor
 
-from benchmarks.accuracy_cases import Function
 from benchmarks.accuracy_cases.circuits import angles, engines, output_error, rows
 from qnerf.quantum.circuit import ANSATZE
 
@@ -21,7 +19,7 @@ GRADIENTS = 20
 sums over a batch of 8 samples and up to 5 outputs with weights of up to 1: within 20 times the bound of the outputs."""
 
 
-def test_infinite_and_nan_inputs_are_nan_and_spoil_no_other_sample() -> None:
+def test_infinite_and_nan_inputs_are_nan_and_spoil_no_other_sample():
     circuit = ANSATZE.build("qiren", 4, 1)
     others = torch.arange(40) != 17
     for engine, dtype, value in product(ENGINES, (torch.float32, torch.float64), (math.inf, -math.inf, math.nan)):
@@ -40,7 +38,7 @@ def test_infinite_and_nan_inputs_are_nan_and_spoil_no_other_sample() -> None:
         assert after[17].isnan().any()
 
 
-def test_nan_weights_are_nan_everywhere_they_reach() -> None:
+def test_nan_weights_are_nan_everywhere_they_reach():
     circuit = ANSATZE.build("qiren", 3, 1)
     x, w = angles(circuit, inputs=1.0, weights=6.0, batch=5)
     w[2, 1, 1] = math.nan
@@ -48,12 +46,12 @@ def test_nan_weights_are_nan_everywhere_they_reach() -> None:
         assert engines(circuit)[engine](x, w).isnan().all(), engine
 
 
-def gradient(function: Function, x: Tensor, w: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+def gradient(function, x, w, g):
     x, w = x.clone().requires_grad_(), w.clone().requires_grad_()
     return torch.autograd.grad(function(x, w), (x, w), g)
 
 
-def test_gradients_that_vanish_by_construction_are_exactly_zero() -> None:
+def test_gradients_that_vanish_by_construction_are_exactly_zero():
     """A gradient of rounding noise is no zero for Adam, which moves such a weight by the whole learning rate."""
     circuit = ANSATZE.build("qiren", 5, 1)
     for engine, dtype in product(ENGINES, (torch.float32, torch.float64)):
@@ -64,7 +62,7 @@ def test_gradients_that_vanish_by_construction_are_exactly_zero() -> None:
         assert dw[0, :, 1].all()
 
 
-def test_gradients_at_an_extremum_vanish_and_outputs_stay_in_range() -> None:
+def test_gradients_at_an_extremum_vanish_and_outputs_stay_in_range():
     """Without rotations, and with half turns, every output is +1 or -1 for all inputs: the flattest point there is."""
     circuit = ANSATZE.build("qiren", 4, 1)
     for engine, weights in product(ENGINES, (0.0, math.pi)):
@@ -88,7 +86,7 @@ seeds = st.integers(0, 2**31)
 
 @given(shape=shapes, turned=corners, size=anything, seed=seeds)
 @example(shape=(5, 1), turned=0.0, size=3.4028234663852886e38, seed=0)
-def test_outputs_stay_within_minus_1_and_1(shape: tuple[int, int], turned: float, size: float, seed: int) -> None:
+def test_outputs_stay_within_minus_1_and_1(shape, turned, size, seed):
     """Weights at and around corners, where an expectation value is largest; inputs of any size."""
     circuit = ANSATZE.build("qiren", *shape)
     generator = torch.Generator().manual_seed(seed)
@@ -104,9 +102,7 @@ def test_outputs_stay_within_minus_1_and_1(shape: tuple[int, int], turned: float
 @given(shape=shapes, inputs=anything, weights=anything, seed=seeds)
 @example(shape=(4, 2), inputs=1e30, weights=1e30, seed=1)
 @example(shape=(4, 2), inputs=0.0, weights=0.5, seed=0)
-def test_float32_keeps_its_bounds_at_angles_of_any_size(
-    shape: tuple[int, int], inputs: float, weights: float, seed: int
-) -> None:
+def test_float32_keeps_its_bounds_at_angles_of_any_size(shape, inputs, weights, seed):
     circuit = ANSATZE.build("qiren", *shape)
     generator = torch.Generator().manual_seed(seed)
     x = torch.randn(8, shape[0], generator=generator) * (inputs / 8)

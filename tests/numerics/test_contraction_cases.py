@@ -4,7 +4,6 @@ import pytest
 import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
-from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.geometry import CONTRACTION_GRADIENT
@@ -16,14 +15,14 @@ SIZES = ULPS | st.floats(0, 30).map(lambda power: 10.0**power) | st.floats(0, 2)
 AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3).filter(lambda axis: max(map(abs, axis)) > 1e-3)
 
 
-def scaled(axis: tuple[float, ...], size: float) -> Tensor:
+def scaled(axis, size):
     """The point of that largest coordinate, as float32 holds it."""
     return rounded([size * x / max(map(abs, axis)) for x in axis])
 
 
 @EACH_ORDER
 @given(axis=AXES, size=SIZES)
-def test_the_derivative_of_contract_in_float32(order: str, axis: tuple[float, ...], size: float) -> None:
+def test_the_derivative_of_contract_in_float32(order, axis, size):
     point = scaled(axis, size)
     jacobians = [
         torch.autograd.functional.jacobian(lambda x: contract(x, order), point.to(dtype)).double()

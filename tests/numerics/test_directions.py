@@ -19,7 +19,7 @@ AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3)
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 @given(axis=AXES, power=st.floats(-38, 12))
-def test_harmonics_of_unnormalised_directions(degree: int, axis: tuple[float, ...], power: float) -> None:
+def test_harmonics_of_unnormalised_directions(degree, axis, power):
     """Any length from 0 to 10^12: finite, each band right relative to what it is made of, |d|^l and the constants."""
     direction = rounded([x * 10.0**power for x in axis])
     exact, found = (spherical_harmonics(direction.to(dtype), degree) for dtype in (torch.float64, torch.float32))
@@ -30,7 +30,7 @@ def test_harmonics_of_unnormalised_directions(degree: int, axis: tuple[float, ..
     assert error <= HARMONICS
 
 
-def test_harmonics_of_the_zero_direction_have_a_finite_gradient() -> None:
+def test_harmonics_of_the_zero_direction_have_a_finite_gradient():
     direction = torch.zeros(3, requires_grad=True)
     values = spherical_harmonics(direction, 4)
     (gradient,) = torch.autograd.grad(values.sum(), direction)
@@ -39,7 +39,7 @@ def test_harmonics_of_the_zero_direction_have_a_finite_gradient() -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
-def test_harmonics_are_orthonormal_over_the_sphere(degree: int) -> None:
+def test_harmonics_are_orthonormal_over_the_sphere(degree):
     """By a quadrature that is exact for polynomials of the degree of their products."""
     nodes, weights = (torch.from_numpy(one) for one in np.polynomial.legendre.leggauss(8))
     z, angle = nodes[:, None].expand(8, 16), torch.arange(16).double() * math.tau / 16
@@ -50,7 +50,7 @@ def test_harmonics_are_orthonormal_over_the_sphere(degree: int) -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
-def test_the_loop_is_its_reference(degree: int) -> None:
+def test_the_loop_is_its_reference(degree):
     """To rounding, and where it does not serve the gradient is the reference's."""
     directions = torch.randn(50, 2, 3, generator=torch.Generator().manual_seed(degree), dtype=torch.float64)
     torch.testing.assert_close(spherical_harmonics(directions, degree), harmonics_reference(directions, degree))

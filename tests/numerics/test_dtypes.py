@@ -1,8 +1,5 @@
 """A run in one dtype computes in no other: every PyTorch operation of a step is seen."""
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -15,12 +12,12 @@ from tests.helpers.trainer import trainer
 class Watcher(TorchDispatchMode):
     """Operations that give floating tensors of more than one number that are not of `dtype`."""
 
-    def __init__(self, dtype: torch.dtype) -> None:
+    def __init__(self, dtype):
         super().__init__()
         self.known = {dtype, dtype.to_complex()}
-        self.found: set[str] = set()
+        self.found = set()
 
-    def __torch_dispatch__(self, function: Any, types: Any, given: Any = (), options: Any = None) -> Any:
+    def __torch_dispatch__(self, function, types, given=(), options=None):
         out = function(*given, **(options or {}))
         for tensor in tree_leaves(out):
             floats = isinstance(tensor, torch.Tensor) and (tensor.is_floating_point() or tensor.is_complex())
@@ -37,9 +34,7 @@ class Watcher(TorchDispatchMode):
         ("numerics.dtype=float64", "field=qdensity", "encoder=rff", "qiren.qubits=3", "shading=none"),
     ],
 )
-def test_a_step_makes_no_numbers_of_another_dtype(
-    tiny: Callable[..., dict[str, Any]], options: tuple[str, ...]
-) -> None:
+def test_a_step_makes_no_numbers_of_another_dtype(tiny, options):
     """Circuits, random features and angles take float64 in a float32 step, too, on purpose."""
     taken = trainer(tiny(*options, "train.distortion=0.01"))
     taken.take_step(measure=False)
@@ -48,7 +43,7 @@ def test_a_step_makes_no_numbers_of_another_dtype(
     assert not watcher.found
 
 
-def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s() -> None:
+def test_layer_computes_in_the_wider_of_its_own_dtype_and_its_input_s():
     for method in ("statevector", "lightcone"):
         for backend in ("compiled", "torch"):
             layer = QuantumLayer(3, 1, method=method, backend=backend)

@@ -3,7 +3,6 @@
 import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
-from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.encoding import FEATURES
@@ -20,7 +19,7 @@ RESOLUTIONS = st.sampled_from([1, 2, 16, 1023, 1024, 2048, 2**17, FINEST]) | st.
 
 
 @st.composite
-def coordinates(draw: st.DrawFn) -> tuple[int, list[float]]:
+def coordinates(draw):
     """A resolution, and a point with coordinates on borders, some ulp beside them, at 0 and 1, outside, anywhere."""
     cells = draw(RESOLUTIONS)
     borders = st.integers(0, cells).map(lambda k: k / cells)
@@ -29,16 +28,14 @@ def coordinates(draw: st.DrawFn) -> tuple[int, list[float]]:
     return cells, draw(st.lists(one, min_size=3, max_size=3))
 
 
-def encoded(dtype: torch.dtype, point: Tensor, table: Tensor, cells: Tensor, upstream: Tensor) -> list[Tensor]:
+def encoded(dtype, point, table, cells, upstream):
     leaves = point.to(dtype).requires_grad_(), table.to(dtype).requires_grad_()
     out = hash_encode(*leaves, cells)
     return [t.detach().double() for t in (out, *torch.autograd.grad(out, leaves, upstream.to(dtype)))]
 
 
 @given(where=coordinates(), seed=seeds, features=st.sampled_from([1, 2, 3]))
-def test_float32_features_and_gradients_at_cell_borders(
-    where: tuple[int, list[float]], seed: int, features: int
-) -> None:
+def test_float32_features_and_gradients_at_cell_borders(where, seed, features):
     """The cell is that of float64, so that the gradient, which jumps at a border, is too."""
     generator = torch.Generator().manual_seed(seed)
     table = rounded(2 * torch.rand(1, 64, features, generator=generator) - 1)

@@ -16,9 +16,7 @@ the rounding of a polynomial whose terms reach some 10^2."""
 
 
 @given(seen=POINTS, lens=ANY_LENS)
-def test_undistortion_that_does_not_converge_is_finite_and_told(
-    seen: list[tuple[float, float]], lens: tuple[float, ...]
-) -> None:
+def test_undistortion_that_does_not_converge_is_finite_and_told(seen, lens):
     points, coefficients = torch.tensor(seen, dtype=torch.float64), torch.tensor(lens, dtype=torch.float64)
     ideal = undistort(points, coefficients)
     assert bool(ideal.isfinite().all())
@@ -28,7 +26,7 @@ def test_undistortion_that_does_not_converge_is_finite_and_told(
     assert not bool(invertible(torch.tensor([[math.nan, 0.0]], dtype=torch.float64), coefficients).any())
 
 
-def test_undistortion_beyond_the_fold_claims_no_point() -> None:
+def test_undistortion_beyond_the_fold_claims_no_point():
     """k1 = -1/3: radius 1 is seen at 2/3, the farthest; nothing is seen beyond."""
     lens = torch.tensor([-1 / 3, 0, 0, 0], dtype=torch.float64)
     radius = torch.tensor([0.0, 0.3, 0.6, 0.66, 0.6667, 0.7, 1.0], dtype=torch.float64)
@@ -41,7 +39,7 @@ COEFFICIENT = st.floats(-0.1, 0.1)
 
 
 @given(ideal=POINTS, lens=st.tuples(COEFFICIENT, st.floats(0, 0.1), *[st.floats(-0.02, 0.02)] * 2))
-def test_undistortion_that_converges_is_exact(ideal: list[tuple[float, float]], lens: tuple[float, ...]) -> None:
+def test_undistortion_that_converges_is_exact(ideal, lens):
     points, coefficients = torch.tensor(ideal, dtype=torch.float64), torch.tensor(lens, dtype=torch.float64)
     seen = distort(points, coefficients)
     good = invertible(seen, coefficients)

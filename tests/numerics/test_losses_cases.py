@@ -26,13 +26,13 @@ WEIGHT = st.sampled_from([0.0, 1e-38, 1e-7, 0.5]) | st.floats(0, 1, width=32)
 HISTOGRAM = st.lists(st.tuples(EDGE, WEIGHT), min_size=1, max_size=12)
 
 
-def split(histogram: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+def split(histogram):
     """Sorted edges that begin at 0, and weights."""
     edges = [0.0, *sorted(edge for edge, _ in histogram)]
     return rounded(edges).numpy(), rounded([weight for _, weight in histogram]).numpy()
 
 
-def evaluated(form: str, function, *tensors: np.ndarray) -> tuple[float, np.ndarray]:
+def evaluated(form, function, *tensors):
     """A loss of (1, K) float32 tensors and its gradient in the first."""
     first, *others = (torch.from_numpy(t).float()[None] for t in tensors)
     first.requires_grad_()
@@ -52,7 +52,7 @@ def uncovered(proposed, s, weights, outer):
 
 @pytest.mark.parametrize("form", BOUNDS)
 @given(histogram=HISTOGRAM)
-def test_distortion_against_all_pairs_with_coincident_edges(form: str, histogram: list[tuple[float, float]]) -> None:
+def test_distortion_against_all_pairs_with_coincident_edges(form, histogram):
     edges, weights = split(histogram)
     mids = (edges[1:] + edges[:-1]) / 2
     apart = np.abs(mids[:, None] - mids)
@@ -67,9 +67,7 @@ def test_distortion_against_all_pairs_with_coincident_edges(form: str, histogram
 
 @pytest.mark.parametrize("form", BOUNDS)
 @given(inner=HISTOGRAM, outer=HISTOGRAM)
-def test_interlevel_against_its_definition_with_zero_weights(
-    form: str, inner: list[tuple[float, float]], outer: list[tuple[float, float]]
-) -> None:
+def test_interlevel_against_its_definition_with_zero_weights(form, inner, outer):
     (edges, weights), (outer_edges, proposed) = split(inner), split(outer)
     exact, slope = 0.0, np.zeros(len(proposed))
     for low, high, weight in zip(edges[:-1], edges[1:], weights, strict=True):

@@ -6,7 +6,6 @@ import pytest
 import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
-from torch import Tensor
 
 from benchmarks.accuracy_cases import EPS, rounded
 from benchmarks.accuracy_cases.geometry import MOTION, ROTATION
@@ -24,12 +23,12 @@ ANGLES = st.sampled_from([0.0, 1e-30, 1e-20, 1e-7, math.pi / 2, math.pi, 2 * mat
 AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3).filter(lambda axis: math.hypot(*axis) > 1e-3)
 
 
-def vector(axis: tuple[float, ...], angle: float) -> Tensor:
+def vector(axis, angle):
     return rounded([angle * x / math.hypot(*axis) for x in axis])
 
 
 @given(axis=AXES, angle=ANGLES)
-def test_rotations_of_any_angle(axis: tuple[float, ...], angle: float) -> None:
+def test_rotations_of_any_angle(axis, angle):
     """Orthogonal, right up to the rounding of the angle, with a finite gradient: no 0/0, no infinity times 0."""
     turn = vector(axis, angle).float().requires_grad_()
     rotation = exp_so3(turn)
@@ -44,7 +43,7 @@ def test_rotations_of_any_angle(axis: tuple[float, ...], angle: float) -> None:
 
 @pytest.mark.parametrize("exponential", [exp_so3xr3, exp_se3])
 @given(axis=AXES, angle=st.sampled_from([0.0, 1e-20, 1e-7, 0.03, math.pi, 2 * math.pi]) | st.floats(0, 7), seed=seeds)
-def test_gradients_of_motions_up_to_a_turn(exponential, axis: tuple[float, ...], angle: float, seed: int) -> None:
+def test_gradients_of_motions_up_to_a_turn(exponential, axis, angle, seed):
     generator = torch.Generator().manual_seed(seed)
     motion = torch.cat([rounded(torch.randn(3, generator=generator)), vector(axis, angle)])
     upstream = rounded(torch.randn(3, 4, generator=generator))

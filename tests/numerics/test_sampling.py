@@ -8,7 +8,6 @@ import pytest
 import torch
 from hypothesis import given, target
 from hypothesis import strategies as st
-from torch import Tensor
 
 from benchmarks.accuracy_cases import rounded
 from benchmarks.accuracy_cases.sampling import SPACED
@@ -26,7 +25,7 @@ WEIGHTS = st.sampled_from([0.0, 1e-38, 1e-12, 1.0]) | st.floats(0, 1, width=32)
 EDGES = st.sampled_from([0.0, 0.25, 0.5, 1.0]) | st.floats(0, 1, width=32)
 
 
-def cumulative(edges: list[float], masses: list[Fraction], at: float, right: bool) -> Fraction:
+def cumulative(edges, masses, at, right):
     """Mass below `at`, with or without what lies exactly there, in rational numbers."""
     total = Fraction(0)
     for low, high, mass in zip(edges[:-1], edges[1:], masses, strict=True):
@@ -45,9 +44,7 @@ def cumulative(edges: list[float], masses: list[Fraction], at: float, right: boo
     padding=st.sampled_from([0.0, 0.01]),
     jitter=st.none() | st.floats(0, 1, exclude_max=True, width=32),
 )
-def test_drawn_edges_lie_where_the_distribution_says(
-    histogram: list[tuple[float, float]], count: int, padding: float, jitter: float | None
-) -> None:
+def test_drawn_edges_lie_where_the_distribution_says(histogram, count, padding, jitter):
     """One float32 below an edge the exact distribution is at most its share, one above at least."""
     edges = [0.0, *sorted(edge for edge, _ in histogram)]
     weights = [Fraction(weight) + Fraction(padding) for _, weight in histogram]
@@ -70,7 +67,7 @@ def test_drawn_edges_lie_where_the_distribution_says(
     ratio=st.floats(1.0009765625, 1e6, width=32),
     s=st.lists(st.floats(0, 1, width=32), min_size=1, max_size=30),
 )
-def test_distances_of_every_spacing(name: str, near: float, ratio: float, s: list[float]) -> None:
+def test_distances_of_every_spacing(name, near, ratio, s):
     bounds = rounded([[near]]), rounded([[near * ratio]])
     at = rounded([s])
     exact = SPACINGS.build(name, *bounds).to_world(at)
@@ -81,18 +78,16 @@ def test_distances_of_every_spacing(name: str, near: float, ratio: float, s: lis
 
 
 @pytest.fixture(scope="module")
-def samplers() -> dict[str, torch.nn.Module]:
+def samplers():
     return {name: make(name) for name in SAMPLERS.names()}
 
 
 @pytest.mark.parametrize("name", sorted(set(SAMPLERS.names()) - {"disparity", "geometric"}))  # which need near above 0
 @given(seed=seeds, at=st.floats(0, 1e6), opacity=st.sampled_from([0.0, 1e-38, 1.0, 1e10, math.inf]))
-def test_edges_of_every_sampler_are_ordered_from_near_0_to_far_1e6(
-    samplers, name: str, seed: int, at: float, opacity: float
-) -> None:
+def test_edges_of_every_sampler_are_ordered_from_near_0_to_far_1e6(samplers, name, seed, at, opacity):
     """Whatever one shell of density makes of the weights: nothing, 1e-38, one spike."""
 
-    def density(points: Tensor) -> Tensor:
+    def density(points):
         return torch.where(points.norm(dim=-1) >= at, opacity, 0.0)
 
     generator = torch.Generator().manual_seed(seed)
@@ -105,7 +100,7 @@ def test_edges_of_every_sampler_are_ordered_from_near_0_to_far_1e6(
 
 
 @given(seed=seeds, bins=st.integers(1, 64), count=st.integers(1, 64), power=st.sampled_from([0, 1, 8, 40]))
-def test_sample_edges_in_plain_form_are_the_same_in_float64(seed: int, bins: int, count: int, power: int) -> None:
+def test_sample_edges_in_plain_form_are_the_same_in_float64(seed, bins, count, power):
     """In float64 both agree as far as the distribution does: 1e-9 of [0, 1] at a padding of 0.01."""
     generator = torch.Generator().manual_seed(seed)
     s = torch.rand(3, bins + 1, generator=generator, dtype=torch.float64).sort(-1).values

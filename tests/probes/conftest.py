@@ -1,7 +1,5 @@
 """One small quantum run for all tests of the probes. They may add tables to its folder, and change nothing."""
 
-from pathlib import Path
-
 import pytest
 
 from qnerf.experiment import run
@@ -10,7 +8,7 @@ from tests.helpers.scenes import write_scene
 
 
 @pytest.fixture(scope="session")
-def quantum_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def quantum_run(tmp_path_factory):
     """Both heads QIREN, with two circuits of 2 wires and S = 2 each."""
     folder = tmp_path_factory.mktemp("probes")
     scene = ("scene=nerfstudio", f"scene.path={write_scene(folder / 'scene')}", f"store={folder / 'runs'}")

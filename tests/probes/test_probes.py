@@ -26,23 +26,23 @@ from qnerf.records.read import read_probe
 from tests.helpers.trainer import built
 
 
-def layer(wires: int, spectral: int, seed: int = 0, ansatz: str = "qiren") -> QuantumLayer:
+def layer(wires, spectral, seed=0, ansatz="qiren"):
     torch.manual_seed(seed)
     return QuantumLayer(wires, spectral, ansatz=ansatz).double()
 
 
-def of(table: pd.DataFrame, output: int, wire: int) -> np.ndarray:
+def of(table, output, wire):
     rows = table[(table["output"] == output) & (table["wire"] == wire)]
     return rows.sort_values("frequency")["power"].to_numpy()
 
 
-def untrained(config) -> Trained:
+def untrained(config):
     """A model as it is built, in the place of a trained one."""
     made = built(config)
     return Trained(Path(), made.settings, made.scene, made.model.eval(), 0)
 
 
-def command(monkeypatch, *arguments: str) -> int:
+def command(monkeypatch, *arguments):
     monkeypatch.setattr(sys, "argv", ["qnerf", "probe", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
@@ -200,7 +200,7 @@ def test_units_of_circuits_are_their_measured_values(quantum_run):
     assert (circuits["units"] == 2).all()
 
 
-def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
+def test_probe_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
     assert set(probe_command.PROBES) == set(PROBES)
     path = shutil.copytree(
         quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["units.parquet", "spectrum.parquet"]
@@ -215,7 +215,7 @@ def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, ca
 def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, capsys):
     path = run(tiny("field=classical")).path
 
-    def refused(*arguments: str) -> str:
+    def refused(*arguments):
         assert command(monkeypatch, str(path), *arguments) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1

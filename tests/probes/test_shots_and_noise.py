@@ -19,7 +19,7 @@ def path(quantum_run, tmp_path):
 
 
 def test_hardware_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_picture(path):
-    lines: list[str] = []
+    lines = []
     table = evaluate_hardware(load(path), grid([4, 100_000], "none", [], 0), tell=lines.append)
     assert len(lines) == 3
     images = pd.read_parquet(path / "eval.parquet").set_index("image")["psnr"]
@@ -41,7 +41,7 @@ def test_hardware_rows_join_the_table_and_more_shots_come_nearer_to_the_exact_pi
 def test_hardware_rows_of_another_command_meanwhile_stay(path):
     meanwhile = []
 
-    def tell(_: str) -> None:
+    def tell(_):
         if not meanwhile:
             meanwhile.append(evaluate_hardware(load(path), [Condition(shots=7)]))
 
@@ -63,7 +63,7 @@ def test_conditions_that_do_not_exist_are_one_line():
 def test_noise_that_is_slow_is_sampled_with_a_standard_error_and_its_time_told_before(path, monkeypatch):
     monkeypatch.setattr(density, "is_quick", lambda circuit: False)
     monkeypatch.setattr(forecast, "TELL", 0.0)
-    lines: list[str] = []
+    lines = []
     conditions = grid([], "depolarizing", [0.01], 0, {"two_qubit": 0.02, "readout": 0.01})
     rows = evaluate_hardware(load(path), conditions, views=1, patterns=3, tell=lines.append)
     assert rows["noise"].tolist() == ["none", "depolarizing two_qubit=0.02 readout=0.01"]

@@ -1,6 +1,5 @@
 """Circuits of all parts at once: their programs, batches and precisions, and what a wrong description says."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +7,6 @@ import numpy as np
 import pennylane as qml
 import pytest
 import torch
-from torch import Tensor
 
 from qnerf.quantum import statevector
 from qnerf.quantum.blocks import CNOTs, Diagonal, RYLayer, rotations_of
@@ -56,7 +54,7 @@ MIXED = Circuit(
 )
 
 
-def results(layer: QuantumLayer, batch: int, dtype: torch.dtype = torch.float64) -> list[Tensor]:
+def results(layer, batch, dtype=torch.float64):
     """Outputs, and gradients of the input and of every weight."""
     generator = torch.Generator().manual_seed(5)
     x = torch.randn(batch, FEATURES, generator=generator, dtype=torch.float64).to(dtype).requires_grad_()
@@ -65,18 +63,18 @@ def results(layer: QuantumLayer, batch: int, dtype: torch.dtype = torch.float64)
     return [y.detach(), *torch.autograd.grad(y, [x, *layer.parameters()], g)]
 
 
-def layers(circuit: Circuit) -> tuple[QuantumLayer, QuantumLayer]:
+def layers(circuit):
     torch.manual_seed(0)
     fast, plain = QuantumLayer(circuit).double(), QuantumLayer(circuit, backend="torch").double()
     plain.load_state_dict(fast.state_dict())
     return fast, plain
 
 
-def kinds(circuit: Circuit) -> list[type]:
+def kinds(circuit):
     return [type(block) for block in program(circuit).blocks]
 
 
-def test_program_is_the_same_whichever_way_gates_are_ordered() -> None:
+def test_program_is_the_same_whichever_way_gates_are_ordered():
     """Wire by wire or layer by layer, as gates with Rot taken apart: what commutes merges."""
     layered = ANSATZE.build("qiren", 4, 2)
     by_wire = sorted(layered.operations[:4], key=lambda gate: -gate.wires[0])
@@ -91,7 +89,7 @@ def test_program_is_the_same_whichever_way_gates_are_ordered() -> None:
     assert program(other).operations == program(layered).operations
 
 
-def test_program_leaves_out_what_has_no_effect() -> None:
+def test_program_leaves_out_what_has_no_effect():
     zz = (Gate("CNOT", (0, 1)), Gate("RZ", (1,), (W[0, 0],)), Gate("CNOT", (0, 1)))
     turned = (Gate("RX", (0,), (feature(0),)), Gate("RX", (1,), (feature(1),)))
     for operations, cnots, weights in (
@@ -115,9 +113,7 @@ def test_program_leaves_out_what_has_no_effect() -> None:
 @pytest.mark.parametrize(
     ("name", "value"), [("CHUNK_BYTES", 20_000), ("takes_dense_blocks", lambda device, wires: True)]
 )
-def test_plain_torch_is_the_same_in_chunks_and_by_dense_blocks(
-    name: str, value: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plain_torch_is_the_same_in_chunks_and_by_dense_blocks(name, value, monkeypatch):
     """With a start for each sample, and without; dense blocks are what a GPU takes."""
     named = (ANSATZE.build("qiren", 4, 2), ANSATZE.build("cnot", 3, 2), ANSATZE.build("rx", 3, 1))
     for circuit in (MIXED, replace(MIXED, operations=MIXED.operations[1:]), *named):
@@ -129,7 +125,7 @@ def test_plain_torch_is_the_same_in_chunks_and_by_dense_blocks(
                 torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
 
 
-def test_float32_threads_and_blocks() -> None:
+def test_float32_threads_and_blocks():
     fast, plain = layers(MIXED)
     exact = results(plain, 700)
     single, found = fast.float(), []
@@ -141,7 +137,7 @@ def test_float32_threads_and_blocks() -> None:
         torch.testing.assert_close(one.double(), expected, rtol=1e-4, atol=1e-5)
 
 
-def test_samples_do_not_depend_on_their_neighbours() -> None:
+def test_samples_do_not_depend_on_their_neighbours():
     x = torch.randn(40, FEATURES, generator=torch.Generator().manual_seed(0))
     x[3], x[20] = float("nan"), float("inf")
     layer = QuantumLayer(MIXED)
@@ -149,7 +145,7 @@ def test_samples_do_not_depend_on_their_neighbours() -> None:
     assert torch.equal(layer(x[4:20]), layer(x)[4:20])
 
 
-def test_batches_of_any_shape_and_number_of_weights() -> None:
+def test_batches_of_any_shape_and_number_of_weights():
     layer = QuantumLayer(MIXED)
     assert layer.scale.item() == 1.0
     for other in layers(MIXED):
@@ -167,7 +163,7 @@ def of(*operations: Any, measured: Any = ((0, "Z"),)) -> Circuit:
     return Circuit("wrong", 2, operations=operations, observables=(measured,), weights=(W,))
 
 
-MISTAKES: list[tuple[Callable[[], Any], str]] = [
+MISTAKES = [
     (lambda: Gate("RW", (0,)), "unknown gate 'RW'; known: X, Y, Z, H"),
     (lambda: Gate("CNOT", (0,)), r"CNOT expects 2 wires, got \(0,\)"),
     (lambda: Gate("CNOT", (1, 1)), "CNOT expects different wires"),
@@ -198,14 +194,14 @@ MISTAKES: list[tuple[Callable[[], Any], str]] = [
 ]
 
 
-def test_mistakes_in_descriptions_are_one_line() -> None:
+def test_mistakes_in_descriptions_are_one_line():
     for make, message in MISTAKES:
         with pytest.raises(ValueError, match=message) as error:
             make()
         assert "\n" not in str(error.value)
 
 
-def test_descriptions_take_lists_single_wires_rows_of_weights_and_long_names() -> None:
+def test_descriptions_take_lists_single_wires_rows_of_weights_and_long_names():
     v = Weights("v", 3)
     loose = Circuit(
         "loose", 2, features=2, weights=W,  # one for all
@@ -231,7 +227,7 @@ def test_descriptions_take_lists_single_wires_rows_of_weights_and_long_names() -
             W[index]
 
 
-def test_expressions_are_polynomials_with_one_form() -> None:
+def test_expressions_are_polynomials_with_one_form():
     x, y = feature(0), weight("w", 0)
     assert (x + 1) ** 2 - 1 == x * x + 2 * x
     assert 1 - x / 2 == 1 + -0.5 * x
@@ -246,7 +242,7 @@ def test_expressions_are_polynomials_with_one_form() -> None:
         x + "a"
 
 
-def test_circuit_without_features_needs_no_input() -> None:
+def test_circuit_without_features_needs_no_input():
     layer = QuantumLayer(Circuit("vqe", 1, (Gate("RX", 0, W[0, 0]),), (((0, "Z"),),), 0, W))
     assert torch.allclose(layer(), layer.w[0, 0].cos()[None])
     with pytest.raises(
@@ -256,7 +252,7 @@ def test_circuit_without_features_needs_no_input() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of torch.jit
-def test_trace_that_would_hold_constants_is_refused() -> None:
+def test_trace_that_would_hold_constants_is_refused():
     with pytest.raises(ValueError, match=r"torch\.compile takes a QuantumLayer"):
         torch.jit.trace(QuantumLayer(MIXED), torch.rand(3, FEATURES))
     with pytest.raises(ValueError, match=r"torch\.export and torch\.jit\.trace see no circuit"):

@@ -9,13 +9,13 @@ from qnerf.quantum.pennylane import draw
 from qnerf.quantum.program import program
 
 
-def test_drawing_in_the_docstring_is_that_of_pennylane() -> None:
+def test_drawing_in_the_docstring_is_that_of_pennylane():
     documented = [line.strip() for line in (ANSATZE.get("qiren").__doc__ or "").splitlines()]
     first = next(index for index, line in enumerate(documented) if line.startswith("0: "))
     assert documented[first : first + 3] == draw(ANSATZE.build("qiren", 3, 1)).splitlines()
 
 
-def test_program_of_qiren_leaves_out_what_does_not_matter() -> None:
+def test_program_of_qiren_leaves_out_what_does_not_matter():
     found = program(ANSATZE.build("qiren", 8, 3))
     kinds = [type(block) for block in found.blocks]
     assert kinds == [RYLayer, *[Diagonal, RYLayer] * 7]  # one diagonal between any two RY layers, nothing at the ends
@@ -27,7 +27,7 @@ def test_program_of_qiren_leaves_out_what_does_not_matter() -> None:
     assert found.measures_last_layer
 
 
-def test_cones_of_qiren() -> None:
+def test_cones_of_qiren():
     cones = find_cones(program(ANSATZE.build("qiren", 8, 1))).cones
     assert [cone.features for cone in cones[:2]] == [(0, 1, 7), (0, 1, 2)]
     assert {cone.coefficients for cone in cones} == {27}
@@ -36,7 +36,7 @@ def test_cones_of_qiren() -> None:
         find_cones(program(ANSATZE.build("qiren", 8, 2)))
 
 
-def test_cones_need_scales_with_a_common_unit() -> None:
+def test_cones_need_scales_with_a_common_unit():
     w = Weights("w", (3, 1, 3))
     operations = (
         *rotations(w[0]),

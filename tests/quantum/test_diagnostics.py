@@ -23,14 +23,14 @@ PRODUCT = Circuit(
 GHZ = Circuit("ghz", 3, (encoding("Y", (1.0, 0.0, 0.0)), entanglers("CNOT", ((0, 1), (1, 2)))), (((0, "Z"),),))
 
 
-def test_states_are_those_of_pennylane() -> None:
+def test_states_are_those_of_pennylane():
     without = tuple(gate for gate in MIXED.operations if getattr(gate, "name", "") != "IsingXY")  # it takes no batch
     for circuit in (ANSATZE.build("cnot", 3, 2), replace(MIXED, operations=without)):
         layer = QuantumLayer(circuit).double()
         x, weights = d.uniform_angles(3, circuit.features or 0), d.weights_of(layer)
 
         @qml.qnode(qml.device("default.qubit", wires=3))
-        def node(circuit: Circuit = circuit, x: torch.Tensor = x, weights: torch.Tensor = weights) -> object:
+        def node(circuit=circuit, x=x, weights=weights):
             apply(circuit, x, weights)
             return qml.state()
 
@@ -41,7 +41,7 @@ def test_states_are_those_of_pennylane() -> None:
         torch.testing.assert_close(d.states(circuit, x, weights.expand(3, -1)), ours, rtol=0, atol=1e-14)
 
 
-def test_entanglement_of_product_and_ghz_states() -> None:
+def test_entanglement_of_product_and_ghz_states():
     product = d.entangling_capability(QuantumLayer(PRODUCT), states=20)
     assert product.mean == pytest.approx(0, abs=1e-12)
     quarter = torch.tensor([[pi / 2, 0.0, 0.0]])
@@ -51,7 +51,7 @@ def test_entanglement_of_product_and_ghz_states() -> None:
     assert abs(uniform.mean - 0.5) < 4 * uniform.standard_error < 0.03
 
 
-def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation() -> None:
+def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation():
     assert d.expressibility(QuantumLayer(IDLE), pairs=10) == pytest.approx(log(75))
     noise = torch.randn(2, 20_000, 8, dtype=torch.complex128)
     haar = noise / noise.norm(dim=-1, keepdim=True)
@@ -65,7 +65,7 @@ def test_expressibility_of_an_idle_circuit_of_haar_states_and_of_one_rotation() 
     assert d.expressibility(QuantumLayer(ROT), pairs=40_000) == pytest.approx(expected, abs=0.004)
 
 
-def test_effective_dimension_counts_directions() -> None:
+def test_effective_dimension_counts_directions():
     k = 1000 / (2 * pi * log(1000))
     flat = torch.diag(torch.tensor([1.0, 1.0, 0.0, 0.0], dtype=torch.float64))
     assert d.effective_dimension([flat], 1000) == pytest.approx(2 * log(1 + 2 * k) / log(k))
@@ -74,7 +74,7 @@ def test_effective_dimension_counts_directions() -> None:
         d.effective_dimension([flat], 10)
 
 
-def test_tangent_kernel_of_a_linear_model_and_of_a_circuit() -> None:
+def test_tangent_kernel_of_a_linear_model_and_of_a_circuit():
     x = torch.randn(70, 3, dtype=torch.float64)
     linear = nn.Linear(3, 2).double()
     assert torch.allclose(d.tangent_kernel(linear, x), 2 * (x @ x.T + 1))
@@ -89,7 +89,7 @@ def test_tangent_kernel_of_a_linear_model_and_of_a_circuit() -> None:
     assert torch.allclose(kernel, torch.einsum("aop,bop->ab", jacobian, jacobian))
 
 
-def test_surrogate_is_exact_where_it_covers_the_spectrum() -> None:
+def test_surrogate_is_exact_where_it_covers_the_spectrum():
     layer = QuantumLayer(2, 2).double()
     fitted, tested = torch.randn(400, 2), torch.randn(200, 2)
     whole = d.surrogate(layer, fitted, tested, 13)  # (5^2 + 1) / 2
@@ -104,7 +104,7 @@ def test_surrogate_is_exact_where_it_covers_the_spectrum() -> None:
     assert d._frequencies(ternary, 9)[0].flatten().tolist() == [0, 1, 2, 3, 4]
 
 
-def test_diagnostics_take_any_circuit() -> None:
+def test_diagnostics_take_any_circuit():
     """A GHZ state by H and CNOTs, CRY by a trainable scale times a feature, and a frozen scale."""
     w, scale = Weights("w", (2,)), Weights("scale", (1,), initial=2.0)
     gates = (Gate("H", (0,)), Gate("CNOT", (0, 1)), Gate("CNOT", (1, 2)), Gate("RX", (2,), (w[0] * 0.0,)))

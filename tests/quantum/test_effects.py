@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import replace
-from typing import Any
 
 import pennylane as qml
 import pytest
@@ -18,7 +17,7 @@ X, TURN = Gate("RX", 0, feature(0)), Gate("RY", 0, W[0])
 AXES = "x[0] commute with every trainable gate; a rotation about another axis would not"
 Z0 = ((0, "Z"),)
 
-CASES: dict[str, tuple[list[Any], list[Any], int, list[str]]] = {
+CASES = {
     "a phase of |0...0>": ([Gate("RZ", 0, W[1]), X, TURN], [Z0], 1, ["no output depends on w[1]"]),
     "a phase before Z": ([X, TURN, Gate("CRZ", (0, 1), W[1])], [Z0], 1, ["no output depends on w[1]"]),
     "outside the light cone": ([X, TURN, Gate("RY", 1, W[1])], [Z0], 1, ["no output depends on w[1]"]),
@@ -59,7 +58,7 @@ CASES: dict[str, tuple[list[Any], list[Any], int, list[str]]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_without_effect_says_each_mistake_in_one_line(name: str) -> None:
+def test_without_effect_says_each_mistake_in_one_line(name):
     operations, observables, features, lines = CASES[name]
     circuit = Circuit("mine", 2, operations, observables, features, W)
     assert list(without_effect(circuit)) == lines
@@ -70,7 +69,7 @@ def test_without_effect_says_each_mistake_in_one_line(name: str) -> None:
     assert all(own.filename == __file__ for own in caught)
 
 
-def test_without_effect_is_true_of_random_circuits() -> None:
+def test_without_effect_is_true_of_random_circuits():
     for number in range(100):
         circuit = random_circuit(number)
         layer = QuantumLayer(circuit).double()
@@ -84,7 +83,7 @@ def test_without_effect_is_true_of_random_circuits() -> None:
             assert f"output {k} is" not in said or (y[:, k] - y[0, k]).abs().max() < 1e-14, number
 
 
-def test_weights_of_a_named_circuit_are_known() -> None:
+def test_weights_of_a_named_circuit_are_known():
     qiren = ANSATZE.build("qiren", 4, 2)
     for make in (lambda: QuantumLayer(4, 2), lambda: QuantumLayer(qiren)):
         with warnings.catch_warnings():
@@ -94,8 +93,8 @@ def test_weights_of_a_named_circuit_are_known() -> None:
         QuantumLayer(replace(qiren, name="own"))
 
 
-def test_from_qnode_warns_at_the_first_call() -> None:
-    def mine(inputs: Any, w: Any) -> Any:
+def test_from_qnode_warns_at_the_first_call():
+    def mine(inputs, w):
         qml.AngleEmbedding(inputs, wires=range(2))
         qml.BasicEntanglerLayers(w, wires=range(2))
         return [qml.expval(qml.Z(0)), qml.expval(qml.Z(1))]

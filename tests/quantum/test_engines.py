@@ -1,14 +1,12 @@
 """Every engine against every other and PennyLane, outputs and derivatives."""
 
 import sys
-from collections.abc import Callable, Iterator
 from contextlib import suppress
 from math import pi
 from random import Random
 
 import pytest
 import torch
-from torch import Tensor
 
 from qnerf.quantum import lightcone
 from qnerf.quantum.circuit import ANSATZE, Circuit, Gate, Weights, feature
@@ -20,39 +18,37 @@ from qnerf.quantum.program import program
 from qnerf.quantum.statevector import PlainCircuit
 from tests.helpers.circuits import CHUNKS, SPECIAL, derivatives, random_circuit
 
-Function = Callable[[Tensor, Tensor], Tensor]
 
-
-def torch_engine(circuit: Circuit) -> Function:
+def torch_engine(circuit):
     return PlainCircuit(circuit).evaluate
 
 
-def compiled_engine(circuit: Circuit) -> Function:
+def compiled_engine(circuit):
     return Engine(circuit).evaluate
 
 
-def through_cones(circuit: Circuit, compiled: bool) -> Function:
+def through_cones(circuit, compiled):
     own, cones = Engine(circuit), lightcone.LightCones(find_cones(program(circuit)))
     simulate = own.simulate if compiled else own.plain.simulate
     return lambda x, w: cones.evaluate(own.plain, simulate, x, w, compiled)
 
 
-def cone_engine(circuit: Circuit) -> Function:
+def cone_engine(circuit):
     return through_cones(circuit, True)
 
 
-def cone_reference(circuit: Circuit) -> Function:
+def cone_reference(circuit):
     return through_cones(circuit, False)
 
 
-def data(circuit: Circuit, batch: int, seed: int = 7) -> tuple[Tensor, Tensor]:
+def data(circuit, batch, seed=7):
     """Inputs (B, n) and flat weights over several turns, float64."""
     generator = torch.Generator().manual_seed(seed)
     x = torch.randn(batch, circuit.features or 0, generator=generator, dtype=torch.float64) * 2
     return x, torch.randn(circuit.size, generator=generator, dtype=torch.float64) * 4
 
 
-def results(function: Function, circuit: Circuit, batch: int = 5, dtype: torch.dtype = torch.float64) -> list[Tensor]:
+def results(function, circuit, batch=5, dtype=torch.float64):
     """Outputs, and gradients of inputs and weights."""
     x, w = (tensor.to(dtype).requires_grad_() for tensor in data(circuit, batch))
     y = function(x, w)
@@ -61,7 +57,7 @@ def results(function: Function, circuit: Circuit, batch: int = 5, dtype: torch.d
     return [y.detach(), *(torch.zeros(()) if d is None else d for d in (dx, dw))]
 
 
-def assert_same(a: list[Tensor], b: list[Tensor], output: float, gradient: float) -> None:
+def assert_same(a, b, output, gradient):
     assert (a[0].double() - b[0].double()).abs().max() <= output
     for one, two in zip(a[1:], b[1:], strict=True):
         scale = two.abs().max().clamp(min=1).double()
@@ -69,7 +65,7 @@ def assert_same(a: list[Tensor], b: list[Tensor], output: float, gradient: float
 
 
 @pytest.mark.parametrize("numbers", CHUNKS, ids=str)
-def test_engines_agree_on_random_circuits_and_equal_pennylane(numbers: range) -> None:
+def test_engines_agree_on_random_circuits_and_equal_pennylane(numbers):
     """Values, first and second derivatives."""
     for number in numbers:
         circuit = random_circuit(number)
@@ -90,7 +86,7 @@ def test_engines_agree_on_random_circuits_and_equal_pennylane(numbers: range) ->
 
 
 @pytest.fixture
-def products(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def products(monkeypatch):
     """Programs with products of rotations whatever the number of wires."""
     monkeypatch.setattr(sys.modules[program.__module__], "PRODUCT_WIRES", 0)
     program.cache_clear()
@@ -99,12 +95,12 @@ def products(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("products")
-def test_products_of_rotations_of_random_circuits_equal_pennylane() -> None:
+def test_products_of_rotations_of_random_circuits_equal_pennylane():
     test_engines_agree_on_random_circuits_and_equal_pennylane(range(50))
 
 
 @pytest.mark.usefixtures("products")
-def test_products_of_rotations_have_all_derivatives_at_special_angles() -> None:
+def test_products_of_rotations_have_all_derivatives_at_special_angles():
     """Angles of Euler have none where the middle one is a multiple of pi."""
     w = Weights("w", (2, 3))
     layers = [
@@ -126,7 +122,7 @@ def test_products_of_rotations_have_all_derivatives_at_special_angles() -> None:
             assert (one - two).abs().max() <= 1e-12, (number, angles)
 
 
-def test_named_circuits_equal_pennylane_with_their_gradients() -> None:
+def test_named_circuits_equal_pennylane_with_their_gradients():
     shapes = ((1, 1), (1, 6), (2, 2), (3, 1), (5, 6), (9, 2), (12, 1))
     named = [ANSATZE.build(name, 4, 2) for name in ANSATZE.names()]
     for circuit in (*(ANSATZE.build("qiren", *shape) for shape in shapes), *named):
@@ -139,7 +135,7 @@ def test_named_circuits_equal_pennylane_with_their_gradients() -> None:
         assert_same(results(torch_engine(circuit), circuit, batch=3), expected, 1e-12, 1e-12)
 
 
-def test_engines_take_many_blocks_of_samples() -> None:
+def test_engines_take_many_blocks_of_samples():
     """Each part of the batch that is summed on its own holds several blocks."""
     for wires, spectral in ((1, 2), (4, 2), (6, 1), (8, 2)):
         circuit = ANSATZE.build("qiren", wires, spectral)
@@ -149,7 +145,7 @@ def test_engines_take_many_blocks_of_samples() -> None:
             assert_same(results(cone_engine(circuit), circuit, batch=700), expected, 1e-12, 1e-12)
 
 
-def test_states_that_are_not_stored_have_the_same_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_states_that_are_not_stored_have_the_same_gradients(monkeypatch):
     for name in ("qiren", "cnot", "rx"):
         circuit = ANSATZE.build(name, 4, 2)
         expected = results(compiled_engine(circuit), circuit, batch=37)
@@ -158,14 +154,14 @@ def test_states_that_are_not_stored_have_the_same_gradients(monkeypatch: pytest.
             assert_same(results(compiled_engine(circuit), circuit, batch=37), expected, 1e-13, 1e-12)
 
 
-def test_nan_in_a_cone_stays_in_the_cone() -> None:
+def test_nan_in_a_cone_stays_in_the_cone():
     circuit = ANSATZE.build("qiren", 8, 1)
     x, w = data(circuit, 1)
     x[0, 2] = float("nan")
     assert cone_engine(circuit)(x, w)[0].isnan().nonzero().flatten().tolist() == [1, 2, 3]
 
 
-def test_empty_batches_have_zero_gradients() -> None:
+def test_empty_batches_have_zero_gradients():
     for name in ANSATZE.names():
         circuit = ANSATZE.build(name, 3, 1)
         for engine in (torch_engine, compiled_engine, cone_engine, cone_reference):

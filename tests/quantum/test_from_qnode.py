@@ -2,20 +2,18 @@
 
 import copy
 import pickle
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pennylane as qml
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.func import functional_call
 from torch.nn.utils import parametrize, prune
 
 from qnerf.quantum import from_qnode
 from qnerf.quantum.layer import QuantumLayer
-from tests.helpers.templates import TEMPLATES, Template
+from tests.helpers.templates import TEMPLATES
 
 ON_DEFAULT_QUBIT = {
     "CommutingEvolution", "PrepSelPrep", "QSVT", "QuantumPhaseEstimation", "Select", "Superposition", "TrotterProduct",
@@ -26,7 +24,7 @@ NO_CIRCUIT = {"AmplitudeEmbedding", "QuantumPhaseEstimation", "Select"} | ON_DEF
 """Templates whose decompositions take numbers only."""
 
 
-def both(function: Callable[..., Any], shapes: dict[str, Any], wires: int = 2) -> tuple[Any, Any]:
+def both(function, shapes, wires=2):
     """`from_qnode` and `TorchLayer`, with the same weights."""
     node = qml.QNode(function, qml.device("default.qubit", wires=wires))
     layer, peer = from_qnode(node, shapes), qml.qnn.TorchLayer(node, shapes)
@@ -34,8 +32,8 @@ def both(function: Callable[..., Any], shapes: dict[str, Any], wires: int = 2) -
     return layer, peer
 
 
-def function_of(template: Template) -> Callable[..., Any]:
-    def weighted(inputs: Any, w: Any) -> Any:
+def function_of(template):
+    def weighted(inputs, w):
         template.queue(inputs, w)
         return [qml.expval(qml.Z(0)), qml.expval(qml.X(1) @ qml.Y(0)), qml.expval(qml.Z(template.wires - 1))]
 
@@ -43,7 +41,7 @@ def function_of(template: Template) -> Callable[..., Any]:
 
 
 @pytest.mark.filterwarnings("ignore:from_qnode runs")
-def test_templates_of_pennylane_are_the_torch_layers_of_the_same_weights() -> None:
+def test_templates_of_pennylane_are_the_torch_layers_of_the_same_weights():
     for name in TEMPLATES.keys() - FAIL_IN_PENNYLANE:
         template = TEMPLATES[name]
         layer, peer = both(function_of(template), {"w": template.shape} if template.shape else {}, template.wires)
@@ -56,15 +54,15 @@ def test_templates_of_pennylane_are_the_torch_layers_of_the_same_weights() -> No
             assert len(used) == sum(value.numel() for value in layer.parameters()), name
 
 
-def encoded(inputs: Tensor, weights: Tensor) -> None:
+def encoded(inputs, weights):
     qml.AngleEmbedding(inputs, wires=range(2))
     qml.StronglyEntanglingLayers(weights, wires=range(2))
 
 
 @pytest.mark.parametrize("shape", [(4, 2), (2, 3, 2), (1, 2), (2,)])
-def test_results_have_the_container_and_the_order_that_are_returned(shape: tuple[int, ...]) -> None:
+def test_results_have_the_container_and_the_order_that_are_returned(shape):
     z, x = (lambda: qml.expval(qml.Z(0))), (lambda: qml.var(qml.X(1)))
-    returned: dict[str, Callable[[], Any]] = {
+    returned = {
         "one": z,
         "list of one": lambda: [z()],
         "tuple of one": lambda: (z(),),
@@ -86,7 +84,7 @@ def test_results_have_the_container_and_the_order_that_are_returned(shape: tuple
         assert layer.runs_on == "qnerf"
 
 
-def compare(layer: Any, peer: Any, x: Tensor, name: str) -> None:
+def compare(layer, peer, x, name):
     """The same values, or the same error."""
     try:
         expected = peer(x)
@@ -100,11 +98,11 @@ def compare(layer: Any, peer: Any, x: Tensor, name: str) -> None:
     assert str(own.value) == str(error), name
 
 
-def test_from_qnode_sees_inputs_weights_and_captured_values_of_each_call() -> None:
+def test_from_qnode_sees_inputs_weights_and_captured_values_of_each_call():
     held = nn.Parameter(torch.tensor([0.3, 0.7]))
-    settings: dict[str, Any] = {"depth": 1, "offset": torch.zeros(2), "scale": np.ones(2)}
+    settings = {"depth": 1, "offset": torch.zeros(2), "scale": np.ones(2)}
 
-    def function(inputs: Any, weights: Any) -> Any:
+    def function(inputs, weights):
         if len(inputs.shape) == 2:
             qml.AngleEmbedding(inputs, wires=range(2))
         if len(inputs) == 3 or inputs.dtype == torch.float64:
@@ -119,7 +117,7 @@ def test_from_qnode_sees_inputs_weights_and_captured_values_of_each_call() -> No
 
     layer, peer = both(function, {"weights": (3,)})
 
-    def check(x: Tensor) -> None:
+    def check(x):
         gradients = []
         for own in (layer, peer):
             inputs = x.clone().requires_grad_()
@@ -144,15 +142,15 @@ def test_from_qnode_sees_inputs_weights_and_captured_values_of_each_call() -> No
     assert layer.runs_on == "qnerf"
 
 
-def measuring(measure: Callable[[], Any]) -> Callable[..., Any]:
-    def function(inputs: Any, weights: Any) -> Any:
+def measuring(measure):
+    def function(inputs, weights):
         encoded(inputs, weights)
         return measure()
 
     return function
 
 
-def at_module_level(inputs: Any, weights: Any) -> Any:
+def at_module_level(inputs, weights):
     encoded(inputs, weights)
     return [qml.expval(qml.Z(0)), qml.expval(qml.X(0) @ qml.X(1))]
 
@@ -162,12 +160,12 @@ NODE = qml.QNode(at_module_level, qml.device("default.qubit", wires=2))
 
 
 @pytest.mark.filterwarnings("ignore:from_qnode runs")
-def test_tools_of_pennylane_take_the_layer_as_they_take_a_torch_layer() -> None:
+def test_tools_of_pennylane_take_the_layer_as_they_take_a_torch_layer():
     layer = from_qnode(NODE, {"weights": (3, 2, 3)})
     peer = qml.qnn.TorchLayer(NODE, {"weights": (3, 2, 3)})
     peer.load_state_dict(layer.state_dict())
     x = torch.rand(4, 2)
-    tools: list[Callable[[Any], Any]] = [
+    tools = [
         lambda own: qml.draw(own)(x),
         lambda own: qml.draw(own.qnode)(x, own.weights),
         lambda own: str(qml.specs(own)(x)["resources"]),
@@ -191,7 +189,7 @@ def test_tools_of_pennylane_take_the_layer_as_they_take_a_torch_layer() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Casting complex values")
-def test_from_qnode_falls_back_on_the_qnodes_device_and_says_so() -> None:
+def test_from_qnode_falls_back_on_the_qnodes_device_and_says_so():
     for change, reason in (
         (lambda node: qml.set_shots(node, 10), "finite shots are not computed"),
         (qml.transforms.merge_rotations, "transforms"),
@@ -211,7 +209,7 @@ def test_from_qnode_falls_back_on_the_qnodes_device_and_says_so() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:from_qnode runs")
-def test_from_qnode_refuses_what_pennylane_refuses() -> None:
+def test_from_qnode_refuses_what_pennylane_refuses():
     for operation in (
         lambda x: qml.BitFlip(0.1, wires=0),
         lambda x: qml.AmplitudeEmbedding(x, wires=0, pad_with=0.0),
@@ -233,16 +231,16 @@ def test_from_qnode_refuses_what_pennylane_refuses() -> None:
         assert messages[0] == messages[1]
 
 
-def queuing(operation: Callable[[Any], Any]) -> Callable[..., Any]:
-    def function(inputs: Any) -> Any:
+def queuing(operation):
+    def function(inputs):
         operation(inputs)
         return qml.expval(qml.Z(0))
 
     return function
 
 
-def test_circuit_of_a_qnode_is_made_of_polynomials_alone() -> None:
-    cases: list[tuple[Callable[[Any], Any], str]] = [
+def test_circuit_of_a_qnode_is_made_of_polynomials_alone():
+    cases = [
         (lambda x: qml.RX(np.sin(x[0]), wires=0), "sin"),
         (lambda x: qml.RX(1 / x[0], wires=0), "unsupported operand"),
         (lambda x: x[0] > 1 and qml.X(0), "'>' not supported"),
@@ -259,12 +257,12 @@ def test_circuit_of_a_qnode_is_made_of_polynomials_alone() -> None:
     torch.testing.assert_close(QuantumLayer(batched.circuit(2))(x)[:, 0], batched(x))
 
 
-def rotated() -> Any:
+def rotated():
     node = qml.QNode(at_module_level, qml.device("default.qubit", wires=2))
     return from_qnode(node, {"weights": (2, 2, 3)})
 
 
-def test_from_qnode_sees_a_parameter_that_was_replaced() -> None:
+def test_from_qnode_sees_a_parameter_that_was_replaced():
     """By load_state_dict(assign=True), torch.func, pruning, a parametrisation or an assignment."""
     x, zeros = torch.rand(3, 2), torch.zeros(2, 2, 3)
     layer, expected = rotated(), rotated()
@@ -286,11 +284,11 @@ def test_from_qnode_sees_a_parameter_that_was_replaced() -> None:
 
 
 class Zero(nn.Module):
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x):
         return 0 * x
 
 
-def test_layer_used_under_inference_mode_trains_and_takes_negated_and_empty_batches() -> None:
+def test_layer_used_under_inference_mode_trains_and_takes_negated_and_empty_batches():
     for kind in ((rotated().circuit(2),), (2, 1)):
         for options in ({}, {"shots": 10}, {"noise": {"readout": 0.01}, "shots": 10}):
             layer = QuantumLayer(*kind, **options, seed=0)
@@ -304,8 +302,8 @@ def test_layer_used_under_inference_mode_trains_and_takes_negated_and_empty_batc
             assert layer(x[:0]).shape == (0, out.shape[1])
 
 
-def test_from_qnode_takes_any_names_empty_batches_and_is_compiled() -> None:
-    def function(inputs: Any, **weights: Any) -> Any:
+def test_from_qnode_takes_any_names_empty_batches_and_is_compiled():
+    def function(inputs, **weights):
         for _ in range(2):
             qml.RX(inputs[..., 0] + weights["a"], wires=0)
         return [qml.expval(qml.Z(0)), qml.probs(wires=0)]

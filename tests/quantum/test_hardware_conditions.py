@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-from typing import Any
 
 import numpy as np
 import pennylane as qml
@@ -16,7 +15,7 @@ from qnerf.quantum.pennylane import apply, measurements
 from tests.quantum.test_any_circuit import MIXED
 
 
-def test_finite_shots_have_the_statistics_of_independent_draws() -> None:
+def test_finite_shots_have_the_statistics_of_independent_draws():
     torch.manual_seed(2)
     layer = QuantumLayer(3, 1).double()
     x = torch.randn(1, 3, dtype=torch.float64)
@@ -34,7 +33,7 @@ def test_finite_shots_have_the_statistics_of_independent_draws() -> None:
     assert torch.equal(layer(x)[0].detach(), exact)  # the conditions end with the block
 
 
-def test_shots_follow_the_seed_and_keep_nan_and_empty_batches() -> None:
+def test_shots_follow_the_seed_and_keep_nan_and_empty_batches():
     layer = QuantumLayer(2, 1)
     x = torch.randn(5, 2)
     x[1, 0] = float("nan")
@@ -50,7 +49,7 @@ def test_shots_follow_the_seed_and_keep_nan_and_empty_batches() -> None:
             assert layer(torch.zeros(0, 2)).shape == (0, 2)
 
 
-def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
+def test_shots_of_any_circuit_are_drawn_around_its_exact_values():
     layer = QuantumLayer(MIXED).double()
     x = torch.randn(400, MIXED.features or 0, dtype=torch.float64)
     exact = layer(x).detach()
@@ -64,16 +63,16 @@ def test_shots_of_any_circuit_are_drawn_around_its_exact_values() -> None:
     torch.testing.assert_close((probabilities * 1000).round(), probabilities * 1000)
 
 
-def test_conditions_that_are_wrong_are_refused() -> None:
+def test_conditions_that_are_wrong_are_refused():
     layer = QuantumLayer(2, 1)
     for options in ({"shots": 0}, {"shots": 2.5}, {"noise": 1.5}, {"noise": Noise}, {"method": "x"}, {"patterns": 0}):
         with pytest.raises(ValueError), hardware_conditions.conditions(layer, **options):  # noqa: PT011
             pass
 
 
-def test_conditions_and_diagnostics_of_a_circuit_of_pennylane_are_refused_with_the_cure() -> None:
+def test_conditions_and_diagnostics_of_a_circuit_of_pennylane_are_refused_with_the_cure():
     @qml.qnode(qml.device("default.qubit", wires=2))
-    def circuit(inputs, w):  # type: ignore[no-untyped-def]
+    def circuit(inputs, w):
         qml.AngleEmbedding(inputs, wires=range(2))
         qml.StronglyEntanglingLayers(w, wires=range(2))
         return [qml.expval(qml.Z(0)), qml.expval(qml.Z(1))]
@@ -86,8 +85,8 @@ def test_conditions_and_diagnostics_of_a_circuit_of_pennylane_are_refused_with_t
             pass
     for diagnostic in (diagnostics.expressibility, diagnostics.entangling_capability):
         with pytest.raises(ValueError, match=r"got TorchLayer.* QuantumLayer\(layer.circuit\(features\)\)"):
-            diagnostic(layer)  # type: ignore[arg-type]
-    cured = QuantumLayer(layer.circuit(2))  # type: ignore[operator]
+            diagnostic(layer)
+    cured = QuantumLayer(layer.circuit(2))
     cured.load_state_dict(layer.state_dict())
     torch.testing.assert_close(cured(x), layer(x))
     both = torch.nn.Sequential(cured, layer)
@@ -96,7 +95,7 @@ def test_conditions_and_diagnostics_of_a_circuit_of_pennylane_are_refused_with_t
         assert not torch.equal(cured(x), layer(x))
 
 
-def test_a_circuit_trains_on_any_device_of_pennylane() -> None:
+def test_a_circuit_trains_on_any_device_of_pennylane():
     layer = QuantumLayer(2, 1).double()
     x = torch.randn(2, 2, dtype=torch.float64)
     weights = torch.cat([layer.weights1.flatten(), layer.weights2.flatten()]).detach()
@@ -104,7 +103,7 @@ def test_a_circuit_trains_on_any_device_of_pennylane() -> None:
     for method in ("parameter-shift", "adjoint"):
 
         @qml.qnode(qml.device("default.qubit", wires=2), diff_method=method)
-        def node(inputs: torch.Tensor, weights: torch.Tensor) -> list[Any]:
+        def node(inputs, weights):
             apply(layer.circuit, inputs, weights)
             return measurements(layer.circuit)
 
@@ -114,7 +113,7 @@ def test_a_circuit_trains_on_any_device_of_pennylane() -> None:
         torch.testing.assert_close(ours, torch.cat([e.flatten() for e in expected]), rtol=0, atol=1e-10)
 
 
-def test_the_layer_on_pennylane_has_shots_and_noise_and_can_be_copied() -> None:
+def test_the_layer_on_pennylane_has_shots_and_noise_and_can_be_copied():
     layer = QuantumLayer(2, 1, method="pennylane", shots=50, noise={"readout": 0.02}, seed=3)
     x = torch.randn(3, 2)
     copies = pickle.loads(pickle.dumps(layer)), copy.deepcopy(layer)

@@ -3,14 +3,12 @@
 from dataclasses import replace
 from itertools import product
 from math import exp
-from typing import Any
 
 import numpy as np
 import pennylane as qml
 import pytest
 import torch
 from hypothesis import given, settings
-from torch import Tensor
 
 from qnerf.quantum import QuantumLayer, density, pauli_errors
 from qnerf.quantum.circuit import (
@@ -53,19 +51,19 @@ EVERYTHING = replace(
 )
 
 
-def data(circuit: Circuit, batch: int = 3) -> tuple[Tensor, Tensor]:
+def data(circuit, batch=3):
     """Inputs and flat weights."""
     generator = torch.Generator().manual_seed(1)
     x = torch.randn(batch, circuit.features or 0, generator=generator, dtype=torch.float64)
     return x, torch.randn(circuit.size, generator=generator, dtype=torch.float64)
 
 
-def made(circuit: Circuit, batch: int = 40) -> tuple[QuantumLayer, Tensor]:
+def made(circuit, batch=40):
     torch.manual_seed(3)
     return QuantumLayer(circuit).double(), data(circuit, batch)[0]
 
 
-def test_patterns_taken_together_are_the_density_matrix() -> None:
+def test_patterns_taken_together_are_the_density_matrix():
     x, weights = data(FEW)
     letters = np.array(list(product(range(4), repeat=5)))  # of the five spots: none, X, Y, Z
     rates = {size: MIXTURE.pauli_probabilities(size) for size in (1, 2)}
@@ -80,7 +78,7 @@ def test_patterns_taken_together_are_the_density_matrix() -> None:
     assert (expected - Simulator(FEW)(x, weights)).abs().max() > 0.01
 
 
-def test_sampled_noise_agrees_with_density_matrices_within_its_standard_error() -> None:
+def test_sampled_noise_agrees_with_density_matrices_within_its_standard_error():
     for circuit, noise, batch in (
         (QIREN, Noise(depolarizing=0.02, two_qubit=0.05), 40),
         (ENCODED_FIRST, Noise(bit_flip=0.02, phase_damping=0.05, readout=0.03), 40),
@@ -90,14 +88,14 @@ def test_sampled_noise_agrees_with_density_matrices_within_its_standard_error() 
         with conditions(layer, noise=noise, method="density") as exact:
             expected = layer(x).detach()
         assert exact.standard_error == 0
-        with conditions(layer, noise=noise, method="sampled", patterns=500) as sampled:
+        with conditions(layer, noise=noise, method="sampled", patterns=200) as sampled:
             off = layer(x).detach() - expected
-        assert 0.001 < sampled.standard_error < 0.02
+        assert 0.001 < sampled.standard_error < 0.03
         assert off.square().mean().sqrt() < 2 * sampled.standard_error  # the outputs share the patterns
         assert (layer(x).detach() - expected).square().mean().sqrt() > 3 * sampled.standard_error
 
 
-def test_standard_errors_are_the_spread_over_seeds_and_follow_the_seed() -> None:
+def test_standard_errors_are_the_spread_over_seeds_and_follow_the_seed():
     words = (((0, "Z"),), ((0, "Z"), (1, "Y")), ((2, "X"),))
     for circuit in (QIREN, replace(QIREN, observables=(Hamiltonian((1.0, -2.0, 0.5), words),))):
         layer, x = made(circuit, 20)
@@ -111,11 +109,11 @@ def test_standard_errors_are_the_spread_over_seeds_and_follow_the_seed() -> None
         assert 0.8 < np.sqrt(np.square(errors).mean()) / spread < 1.25
 
 
-def test_derivatives_with_sampled_noise_are_those_of_the_patterns() -> None:
+def test_derivatives_with_sampled_noise_are_those_of_the_patterns():
     for circuit in (CNOT, EVERYTHING):
         layer = QuantumLayer(circuit).double()
 
-        def noisy(x: Tensor, weights: Tensor, layer: QuantumLayer = layer) -> Tensor:
+        def noisy(x, weights, layer=layer):
             with conditions(layer, noise=0.05, method="sampled", patterns=2, gradients=True):
                 return layer.evaluate(x, weights)
 
@@ -125,7 +123,7 @@ def test_derivatives_with_sampled_noise_are_those_of_the_patterns() -> None:
 
 @settings(max_examples=6)
 @given(circuit=any_circuits)
-def test_density_matrices_of_any_circuit_equal_default_mixed(circuit: Circuit) -> None:
+def test_density_matrices_of_any_circuit_equal_default_mixed(circuit):
     noise = replace(MIXTURE, amplitude_damping=0.1)
     layer = QuantumLayer(circuit).double()
     x, _ = data(circuit, 2)
@@ -133,7 +131,7 @@ def test_density_matrices_of_any_circuit_equal_default_mixed(circuit: Circuit) -
         found = layer(x).detach()
 
     @qml.qnode(qml.device("default.mixed", wires=circuit.wires))
-    def node(sample: np.ndarray, weights: np.ndarray) -> list[Any]:
+    def node(sample, weights):
         apply(circuit, sample, weights, noise)
         return measurements(circuit)
 
@@ -141,7 +139,7 @@ def test_density_matrices_of_any_circuit_equal_default_mixed(circuit: Circuit) -
     torch.testing.assert_close(found, torch.tensor(np.array(expected)), rtol=0, atol=1e-11)
 
 
-def test_density_matrices_of_reuploading_circuits_equal_default_mixed() -> None:
+def test_density_matrices_of_reuploading_circuits_equal_default_mixed():
     """Relaxation, rates of gates on two wires, and errors of the readout as well."""
     noise = Noise(depolarizing=0.01, two_qubit=0.04, bit_flip=0.02, **RELAXATION)
     for name, spectral in (("qiren", 1), ("cnot", 2), ("rx", 1)):
@@ -150,7 +148,7 @@ def test_density_matrices_of_reuploading_circuits_equal_default_mixed() -> None:
 
         # On NumPy arrays: with torch tensors PennyLane forms its channels in single precision.
         @qml.qnode(qml.device("default.mixed", wires=2))
-        def node(sample: np.ndarray, layer: QuantumLayer = layer, weights: np.ndarray = weights) -> list[Any]:
+        def node(sample, layer=layer, weights=weights):
             apply(layer.circuit, sample, weights, noise)
             for wire in range(2):
                 qml.BitFlip(0.03, wires=wire)
@@ -162,7 +160,7 @@ def test_density_matrices_of_reuploading_circuits_equal_default_mixed() -> None:
             assert (layer(x[:2]) - expected).abs().max() < 1e-12
 
 
-def test_thermal_relaxation_is_that_of_pennylane() -> None:
+def test_thermal_relaxation_is_that_of_pennylane():
     channels = Noise(**RELAXATION).after(2)
     assert [name for name, _ in channels] == ["AmplitudeDamping", "PhaseDamping"]
     ours = rho = np.array([[0.3, 0.2 + 0.1j], [0.2 - 0.1j, 0.7]])
@@ -174,7 +172,7 @@ def test_thermal_relaxation_is_that_of_pennylane() -> None:
     assert ours[1, 1] == pytest.approx(0.7 * exp(-4 / 50))
 
 
-def test_pauli_twirl_keeps_the_diagonal_of_the_transfer_matrix() -> None:
+def test_pauli_twirl_keeps_the_diagonal_of_the_transfer_matrix():
     paulis = [np.array(m) for m in ([[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]])]
     noise = Noise(depolarizing=0.1, amplitude_damping=0.2, phase_damping=0.3, bit_flip=0.05)
     mixed = noise.pauli_probabilities(1)
@@ -185,7 +183,7 @@ def test_pauli_twirl_keeps_the_diagonal_of_the_transfer_matrix() -> None:
         assert 1 - 2 * (sum(mixed) - mixed[letter]) == pytest.approx(np.trace(pauli @ state).real / 2)
 
 
-def test_noise_that_is_impossible_is_one_line() -> None:
+def test_noise_that_is_impossible_is_one_line():
     for fields, message in (
         ({"t1": 1.0, "t2": 3.0, "one_qubit_time": 1.0}, "t2 expects at most 2 t1 = 2, got 3"),
         ({"t1": 1.0}, "also expect one_qubit_time"),
@@ -199,7 +197,7 @@ def test_noise_that_is_impossible_is_one_line() -> None:
             Noise.of(fields)
 
 
-def test_layers_train_with_shots_whose_gradients_are_exact() -> None:
+def test_layers_train_with_shots_whose_gradients_are_exact():
     layer, x = made(QIREN)
     measuring = QuantumLayer(3, 2, shots=50).double()
     measuring.load_state_dict(layer.state_dict())
@@ -208,7 +206,7 @@ def test_layers_train_with_shots_whose_gradients_are_exact() -> None:
     assert torch.allclose(*gradients, atol=1e-12)
 
 
-def test_layers_train_with_noise_that_is_right_on_average() -> None:
+def test_layers_train_with_noise_that_is_right_on_average():
     layer, x = made(CNOT)
     noisy = QuantumLayer(CNOT, noise={"depolarizing": 0.02, "readout": 0.05}, patterns=5).double()
     noisy.load_state_dict(layer.state_dict())
@@ -219,13 +217,12 @@ def test_layers_train_with_noise_that_is_right_on_average() -> None:
     error = draws.std(0).square().mean().sqrt() / 10
     assert (draws.mean(0) - expected).square().mean().sqrt() < 2 * error < 0.02
     noisy(x).sum().backward()
-    assert noisy.weights1.grad is not None
     assert noisy.weights1.grad.abs().max() > 0
     with conditions(noisy):
         assert torch.equal(noisy(x).detach(), layer(x).detach())  # exact again
 
 
-def test_words_are_read_as_their_bit_strings_are() -> None:
+def test_words_are_read_as_their_bit_strings_are():
     """A word is the parity of the bits that are read after its letters were turned to Z."""
     noise = Noise(readout=0.04)
     gates = (Gate("RX", (0,), (feature(0),)), Gate("CRY", (0, 1), (feature(1),)), Gate("CNOT", (1, 2)))

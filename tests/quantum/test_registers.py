@@ -6,7 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 
-from qnerf.quantum.circuit import ANSATZE, Circuit
+from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.layer import QuantumLayer
 from qnerf.quantum.registers import is_split, registers
 from qnerf.quantum.simulator import Simulator
@@ -17,12 +17,12 @@ from tests.quantum.test_engines import assert_same, results
 
 @settings(max_examples=20)
 @given(circuit=any_circuits)
-def test_registers_of_a_circuit_give_what_the_whole_gives(circuit: Circuit) -> None:
+def test_registers_of_a_circuit_give_what_the_whole_gives(circuit):
     simulator = Simulator(circuit, "statevector")
     assert_same(results(simulator.of_registers, circuit), results(simulator, circuit), 1e-12, 1e-11)
 
 
-def test_polynomials_of_a_wide_circuit_are_those_of_its_registers() -> None:
+def test_polynomials_of_a_wide_circuit_are_those_of_its_registers():
     for name in ("qiren", "rx"):
         circuit = ANSATZE.build(name, 14, 1)
         circuit = replace(circuit, observables=(*circuit.observables, ()))  # the identity, which has no cone
@@ -32,7 +32,7 @@ def test_polynomials_of_a_wide_circuit_are_those_of_its_registers() -> None:
             assert_same(results(Simulator(circuit, *options), circuit, batch=2), expected, 1e-12, 1e-11)
 
 
-def test_output_of_64_wires_sees_what_a_smaller_ring_sees() -> None:
+def test_output_of_64_wires_sees_what_a_smaller_ring_sees():
     """Output 30 of 64 wires depends on wires 26..34 alone. A ring of 12 wires looks the same to it."""
     wide, near = ANSATZE.build("qiren", 64, 1), slice(24, 36)
     assert {part.circuit.wires for part in registers(wide)} == {9}
@@ -44,7 +44,7 @@ def test_output_of_64_wires_sees_what_a_smaller_ring_sees() -> None:
     assert cost.memory < 2**28
 
 
-def test_circuits_that_do_not_fit_say_so() -> None:
+def test_circuits_that_do_not_fit_say_so():
     wide = ANSATZE.build("qiren", 64, 1)
     layer = QuantumLayer(wide, shots=10)
     assert layer(torch.zeros(2, 64)).shape == (2, 64)

@@ -1,12 +1,10 @@
 """The layer under torch.func, forward-mode derivatives and torch.compile, for every engine."""
 
 import pickle
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.autograd import forward_ad
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap
 
@@ -15,25 +13,24 @@ from qnerf.quantum.layer import QuantumLayer
 from tests.quantum.test_any_circuit import MIXED
 
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # PyTorch's own, for derivatives
-Layers = tuple[QuantumLayer, QuantumLayer]
 
 
 @pytest.fixture(params=["lightcone", "statevector", "any"])
-def layers(request: pytest.FixtureRequest) -> Layers:
+def layers(request):
     """A layer of 4 features on a compiled engine, and the same in plain PyTorch."""
     torch.manual_seed(0)
-    kind: tuple[Any, ...] = {"lightcone": (4, 1, "lightcone"), "statevector": (4, 2), "any": (MIXED,)}[request.param]
+    kind = {"lightcone": (4, 1, "lightcone"), "statevector": (4, 2), "any": (MIXED,)}[request.param]
     method = {"method": "lightcone"} if request.param == "lightcone" else {}
     fast, plain = (QuantumLayer(*kind[:2], **method, backend=own).double() for own in ("compiled", "torch"))
     plain.load_state_dict(fast.state_dict())
     return fast, plain
 
 
-def of_weights(layer: QuantumLayer) -> Callable[[dict[str, Tensor], Tensor], Tensor]:
+def of_weights(layer):
     return lambda weights, x: functional_call(layer, weights, (x,)).square().sum()
 
 
-TRANSFORMS: list[Callable[[QuantumLayer, Tensor], Any]] = [
+TRANSFORMS = [
     lambda layer, x: vmap(grad(of_weights(layer)), (None, 0))(dict(layer.named_parameters()), x),
     lambda layer, x: vmap(layer)(x),
     lambda layer, x: jacrev(layer)(x),
@@ -43,7 +40,7 @@ TRANSFORMS: list[Callable[[QuantumLayer, Tensor], Any]] = [
 ]
 
 
-def test_torch_func_gives_what_plain_pytorch_gives(layers: Layers) -> None:
+def test_torch_func_gives_what_plain_pytorch_gives(layers):
     x = torch.randn(3, 4, dtype=torch.float64)
     for transform in TRANSFORMS:
         fast, plain = (transform(layer, x) for layer in layers)
@@ -51,7 +48,7 @@ def test_torch_func_gives_what_plain_pytorch_gives(layers: Layers) -> None:
     assert layers[0].cost(3).backend == "compiled"  # as before
 
 
-def test_forward_mode_gives_what_backward_mode_gives(layers: Layers) -> None:
+def test_forward_mode_gives_what_backward_mode_gives(layers):
     x, direction = torch.randn(2, 3, 4, dtype=torch.float64)
     with forward_ad.dual_level():
         tangent = forward_ad.unpack_dual(layers[0](forward_ad.make_dual(x, direction))).tangent
@@ -62,20 +59,20 @@ def test_forward_mode_gives_what_backward_mode_gives(layers: Layers) -> None:
     torch.testing.assert_close((tangent * cotangent).sum(), (gradient * direction).sum())
 
 
-def step(model: Callable[[Tensor], Tensor], parameters: list[nn.Parameter], x: Tensor) -> list[Tensor]:
+def step(model, parameters, x):
     """Outputs and all gradients."""
     x = x.clone().requires_grad_()
     out = model(x)
     return [out.detach(), *torch.autograd.grad(out.square().sum(), [x, *parameters])]
 
 
-def test_compiled_model_computes_the_same_bits(layers: Layers) -> None:
+def test_compiled_model_computes_the_same_bits(layers):
     """Without the C++ compiler: dynamo and autograd still trace all but the layer."""
     torch.compiler.reset()
     copied = pickle.loads(pickle.dumps(layers[0]))
     for layer in (layers[0], copied):
         model = nn.Sequential(nn.Linear(5, 4), layer, nn.Linear(layer.outputs, 2)).double()
-        fast: Any = torch.compile(model, backend="aot_eager")
+        fast = torch.compile(model, backend="aot_eager")
         for shape in ((7, 5), (2, 3, 5)):
             x = torch.randn(*shape, dtype=torch.float64)
             expected = step(model, list(model.parameters()), x)

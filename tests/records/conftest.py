@@ -1,22 +1,20 @@
-from pathlib import Path
-
 import pytest
 
 from qnerf.records import RunStore, index
 
 
 @pytest.fixture
-def store_(tmp_path: Path) -> RunStore:
+def store_(tmp_path):
     return RunStore(tmp_path / "runs", every=60)
 
 
 @pytest.fixture
-def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def reads(monkeypatch):
     """The runs that the index reads from now on."""
-    seen: list[str] = []
+    seen = []
     row = index._row
 
-    def recording(folder: Path) -> object:
+    def recording(folder):
         seen.append(folder.name)
         return row(folder)
 

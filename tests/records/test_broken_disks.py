@@ -4,8 +4,6 @@ import errno
 import os
 import shutil
 import time
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,13 +12,13 @@ from qnerf.records import RunStore, StoreError
 from tests.helpers.stores import CONFIG, claimed
 
 
-def test_a_full_disk(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk(store_, monkeypatch):
     run = claimed(store_)
     run.log(0, 0.0, {"loss": 1.0})
     run.save_checkpoint({"step": 0})
     content = {path: path.read_bytes() for path in run.dir.rglob("*") if path.is_file()}
 
-    def full(handle: int) -> None:
+    def full(handle):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     run.log(1, 0.0, {"loss": 1.0})
@@ -34,13 +32,13 @@ def test_a_full_disk(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(records.read_metrics(run.dir)) == 2
 
 
-def test_an_error_in_the_background_reaches_the_training_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_the_background_reaches_the_training_loop(tmp_path, monkeypatch):
     run = claimed(RunStore(tmp_path, every=0.01))
 
-    def refused(*_: Any, **__: Any) -> None:
+    def refused(*_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    def train() -> None:
+    def train():
         with run:
             end = time.monotonic() + 20
             step = 0
@@ -59,7 +57,7 @@ def test_an_error_in_the_background_reaches_the_training_loop(tmp_path: Path, mo
     again.interrupt()
 
 
-def test_the_store_is_removed_under_a_running_job(store_: RunStore) -> None:
+def test_the_store_is_removed_under_a_running_job(store_):
     run = claimed(store_)
     run.log(0, 0.0, {"loss": 1.0})
     shutil.rmtree(store_.root)
@@ -70,7 +68,7 @@ def test_the_store_is_removed_under_a_running_job(store_: RunStore) -> None:
     assert not store_.root.exists()
 
 
-def test_a_store_that_cannot_be(tmp_path: Path) -> None:
+def test_a_store_that_cannot_be(tmp_path):
     (tmp_path / "file").write_text("")
     for root in (tmp_path / "file", tmp_path / "file" / "runs"):
         with pytest.raises(StoreError, match="cannot create the run's folder"):

@@ -8,11 +8,10 @@ import pytest
 import torch
 
 from qnerf import records
-from qnerf.records import RunStore
 from tests.helpers.stores import claimed
 
 
-def test_checkpoints_rotate(store_: RunStore) -> None:
+def test_checkpoints_rotate(store_):
     run = claimed(store_)
     assert run.load_checkpoint() is None
     for step in (1, 2, 3):
@@ -23,7 +22,6 @@ def test_checkpoints_rotate(store_: RunStore) -> None:
     run.interrupt()
     run = claimed(store_)
     content = run.load_checkpoint()
-    assert content is not None
     assert content["step"] == 3
     assert torch.equal(content["weights"], torch.full((3,), 3.0))
     run.resume(3)
@@ -31,7 +29,7 @@ def test_checkpoints_rotate(store_: RunStore) -> None:
     assert [path.name for path in run.dir.glob("checkpoint*")] == ["checkpoint.pt"]
 
 
-def test_a_checkpoint_that_could_not_be_read_back_is_refused(store_: RunStore) -> None:
+def test_a_checkpoint_that_could_not_be_read_back_is_refused(store_):
     run = claimed(store_)
     run.save_checkpoint({"value": 0.0})  # each is read back, not the first alone
     cases = {
@@ -52,7 +50,7 @@ def test_a_checkpoint_that_could_not_be_read_back_is_refused(store_: RunStore) -
 
 
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "text", "not a dict"])
-def test_a_damaged_checkpoint_falls_back(store_: RunStore, damage: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_checkpoint_falls_back(store_, damage, caplog):
     run = claimed(store_)
     for step in (1, 2):
         run.save_checkpoint({"step": step, "weights": torch.arange(5000.0)})
@@ -72,7 +70,6 @@ def test_a_damaged_checkpoint_falls_back(store_: RunStore, damage: str, caplog: 
             torch.save([1, 2], path)
     with caplog.at_level(logging.WARNING):
         content = run.load_checkpoint()
-    assert content is not None
     assert content["step"] == 1
     assert len(caplog.messages) == 1
     assert "checkpoint.pt: damaged" in caplog.messages[0]
@@ -84,7 +81,7 @@ def test_a_damaged_checkpoint_falls_back(store_: RunStore, damage: str, caplog: 
     run.finish()
 
 
-def test_two_damaged_checkpoints_start_over(store_: RunStore, caplog: pytest.LogCaptureFixture) -> None:
+def test_two_damaged_checkpoints_start_over(store_, caplog):
     run = claimed(store_)
     for name in ("checkpoint.pt", "checkpoint.prev.pt"):
         (run.dir / name).write_bytes(b"x")

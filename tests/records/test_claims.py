@@ -2,26 +2,24 @@
 
 import errno
 import os
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from qnerf import records
-from qnerf.records import RunStore, store
+from qnerf.records import store
 from qnerf.records.files import replace
 from tests.helpers.stores import CONFIG, claimed
 
 
-def test_context_manager_ends_the_run(store_: RunStore) -> None:
-    def broken() -> None:
+def test_context_manager_ends_the_run(store_):
+    def broken():
         with claimed(store_, "a") as run:
             run.log(0, 0.0, {"loss": 1.0})
             raise ValueError("loss is\nNaN at step 7")
 
-    def stopped() -> None:
+    def stopped():
         with claimed(store_, "b"):
             raise KeyboardInterrupt
 
@@ -45,7 +43,7 @@ def test_context_manager_ends_the_run(store_: RunStore) -> None:
         again.run.finish()
 
 
-def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> None:
+def test_a_finished_run_is_skipped_and_done_over_by_force(store_):
     run = claimed(store_)
     run.log(0, 0.0, {"loss": 1.0})
     run.finish({"psnr": 20.0})
@@ -54,14 +52,13 @@ def test_a_finished_run_is_skipped_and_done_over_by_force(store_: RunStore) -> N
     assert "finished already; run.force=true does it over" in claim.message
     again = store_.claim("a", CONFIG, force=True)
     assert again.outcome == "new"
-    assert again.run is not None
     assert len(records.read_metrics(again.dir)) == 0
     assert records.read_summary(again.dir)["psnr"] is None
     assert store_.claim("a", CONFIG, force=True).outcome == "busy"
     again.run.finish()
 
 
-def test_a_run_done_over_loses_our_files_alone(store_: RunStore) -> None:
+def test_a_run_done_over_loses_our_files_alone(store_):
     run = claimed(store_)
     run.log(0, 0.0, {"loss": 1.0})
     run.save_image("0", np.zeros((2, 2), np.uint8))
@@ -89,14 +86,12 @@ def test_a_run_done_over_loses_our_files_alone(store_: RunStore) -> None:
     assert "from the start" in store_.claim("a", CONFIG).message
 
 
-def test_a_kill_while_a_run_is_done_over_leaves_no_old_result(
-    store_: RunStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_while_a_run_is_done_over_leaves_no_old_result(store_, monkeypatch):
     run = claimed(store_)
     run.save_checkpoint({"step": 1})
     run.finish({"psnr": 20.0})
 
-    def killed(path: Path, *arguments: Any, **options: Any) -> None:
+    def killed(path, *arguments, **options):
         if path.name == "config.yaml":
             raise KeyboardInterrupt
         replace(path, *arguments, **options)
@@ -108,7 +103,7 @@ def test_a_kill_while_a_run_is_done_over_leaves_no_old_result(
     assert not (run.dir / "checkpoint.pt").exists()
 
 
-def test_a_missing_file_is_made_again(store_: RunStore) -> None:
+def test_a_missing_file_is_made_again(store_):
     run = claimed(store_)
     run.interrupt()
     for name in ("config.yaml", "eval.parquet", "status.json", "summary.parquet"):
@@ -122,8 +117,8 @@ def test_a_missing_file_is_made_again(store_: RunStore) -> None:
     run.finish()
 
 
-def test_a_claim_without_hard_links(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsupported(*_: Any, **__: Any) -> None:
+def test_a_claim_without_hard_links(store_, monkeypatch):
+    def unsupported(*_, **__):
         raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
 
     monkeypatch.setattr(os, "link", unsupported)

@@ -1,6 +1,5 @@
 import json
 import subprocess
-from pathlib import Path
 
 import pytest
 import torch
@@ -8,22 +7,13 @@ import torch
 from qnerf.records import environment
 
 
-def git(root: Path, *arguments: str) -> None:
-    command = [
-        "git",
-        "-c",
-        "user.name=t",
-        "-c",
-        "user.email=t@example.org",
-        "-c",
-        "init.defaultBranch=main",
-        *arguments,
-    ]
-    subprocess.run(command, cwd=root, check=True, capture_output=True)
+def git(root, *arguments):
+    somebody = ["-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "init.defaultBranch=main"]
+    subprocess.run(["git", *somebody, *arguments], cwd=root, check=True, capture_output=True)
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Path:
+def repository(tmp_path):
     root = tmp_path / "repository"
     root.mkdir()
     git(root, "init")
@@ -33,7 +23,7 @@ def repository(tmp_path: Path) -> Path:
     return root
 
 
-def test_capture_is_plain_and_complete() -> None:
+def test_capture_is_plain_and_complete():
     seen = environment.capture(seed=7)
     assert json.loads(json.dumps(seen)) == seen
     assert seen["seed"] == 7
@@ -44,7 +34,7 @@ def test_capture_is_plain_and_complete() -> None:
     assert seen["cpu"]["usable"] >= 1
 
 
-def test_environment_records_the_state_of_git(repository: Path) -> None:
+def test_environment_records_the_state_of_git(repository):
     clean = environment.capture(root=repository)["git"]
     assert clean["branch"] == "main"
     assert len(clean["commit"]) == 40
@@ -53,12 +43,12 @@ def test_environment_records_the_state_of_git(repository: Path) -> None:
     assert environment.capture(root=repository)["git"] == clean | {"dirty": True}
 
 
-def test_environment_outside_of_a_checkout(tmp_path: Path) -> None:
+def test_environment_outside_of_a_checkout(tmp_path):
     assert environment.capture(root=tmp_path)["git"] == {"commit": None, "branch": None, "dirty": None}
     assert environment.dirty_diff(tmp_path) == ""
 
 
-def test_diff_makes_the_checkout_again(repository: Path, tmp_path: Path) -> None:
+def test_diff_makes_the_checkout_again(repository, tmp_path):
     assert environment.dirty_diff(repository) == ""
     (repository / "code.py").write_text("a = 2\n")
     (repository / "nëw file.py").write_text("b = 3\n")
@@ -73,7 +63,7 @@ def test_diff_makes_the_checkout_again(repository: Path, tmp_path: Path) -> None
     assert (other / "nëw file.py").read_text() == "b = 3\n"
 
 
-def test_large_changes_are_named_not_saved(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_changes_are_named_not_saved(repository, monkeypatch):
     monkeypatch.setattr(environment, "DIFF_LIMIT", 50)
     (repository / "code.py").write_text("a = 1\n" * 50)
     diff = environment.dirty_diff(repository)

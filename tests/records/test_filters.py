@@ -24,7 +24,7 @@ RUNS = pd.DataFrame(
 )
 
 
-def test_a_filter_chooses_runs() -> None:
+def test_a_filter_chooses_runs():
     for condition, chosen in (
         ("field=qcolor", "bc"),
         ("field!=qcolor", "ad"),
@@ -70,7 +70,7 @@ def test_columns_have_one_list_of_names():
     assert filters.column(" scene.name ") == "scene.name"
 
 
-def test_a_filter_that_chooses_nothing_says_why() -> None:
+def test_a_filter_that_chooses_nothing_says_why():
     for condition, told in (
         ("field=qboth", "no run of 4 has field=qboth; there are field: classical, qcolor"),
         ("psnr>30 seed=1", "psnr: 20, 21.5, 25; seed: 0, 1, 2, 3"),
@@ -88,7 +88,7 @@ def test_a_filter_that_chooses_nothing_says_why() -> None:
         assert "\n" not in str(error.value)
 
 
-def test_many_values_are_told_in_short() -> None:
+def test_many_values_are_told_in_short():
     assert filters.known_values(pd.Series(range(100), name="x")) == "0 to 99"
     assert filters.known_values(pd.Series([f"v{i:02d}" for i in range(12)], name="x"), 3) == "v00, v01, v02 and 9 more"
     assert filters.known_values(pd.Series([None, np.nan], name="x", dtype=object)) == "no values"

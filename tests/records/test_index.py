@@ -3,7 +3,6 @@
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pyarrow as pa
@@ -22,12 +21,12 @@ TYPES = {"seed": "int", "train.lr": "float", "train.steps": "int"}
 SUMMARY, STATUS, ANNOTATIONS = "summary.parquet", "status.json", "annotations.json"
 
 
-def put(path: Path, data: bytes) -> None:
+def put(path, data):
     path.parent.mkdir(parents=True, exist_ok=True)
     files.replace(path, data, durable=False)
 
 
-def write(store: Path, name: str, state: str = "finished", config: dict | None = None, **results: Any) -> Path:
+def write(store, name, state="finished", config=None, **results):
     """Writes the files of a run that the index reads, as the writer would."""
     results = {"run_id": name, "state": state} | results
     put(store / name / SUMMARY, encode(schemas.summary(results, CONFIG | (config or {}), TYPES)))
@@ -36,9 +35,8 @@ def write(store: Path, name: str, state: str = "finished", config: dict | None =
     return store / name
 
 
-def test_row_is_what_the_run_wrote(tmp_path: Path) -> None:
+def test_row_is_what_the_run_wrote(tmp_path):
     claim = RunStore(tmp_path / "runs").claim("a", CONFIG | {"seed": 7}, columns={"field": "qcolor"})
-    assert claim.run is not None
     claim.run.log(4, 0.5, {"loss": 1.0})
     claim.run.finish({"psnr": 21.5, "params.total": 491})
     (claim.dir / ANNOTATIONS).write_text('{"tags": ["good", "baseline"], "note": "see the ä"}')
@@ -57,12 +55,10 @@ def test_row_is_what_the_run_wrote(tmp_path: Path) -> None:
     }
 
 
-def test_state_is_the_true_one(tmp_path: Path) -> None:
+def test_state_is_the_true_one(tmp_path):
     store = RunStore(tmp_path / "runs")
     alive, dead, failed = (store.claim(name, CONFIG).run for name in ("alive", "dead", "failed"))
-    assert alive is not None
     assert dead is not None
-    assert failed is not None
     failed.fail("out of memory")
     vanish(dead)
     for _ in range(2):
@@ -73,7 +69,7 @@ def test_state_is_the_true_one(tmp_path: Path) -> None:
     assert index.load(store.root).set_index("run_id")["state"]["alive"] == "finished"
 
 
-def test_damaged_runs_are_rows(tmp_path: Path) -> None:
+def test_damaged_runs_are_rows(tmp_path):
     store = tmp_path / "runs"
     write(store, "good", psnr=20.0)
     put(write(store, "damaged") / SUMMARY, b"PAR1 and no more")
@@ -98,7 +94,7 @@ def test_damaged_runs_are_rows(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(frame, index.load(store).set_index("run_id"))
 
 
-def test_store_may_be_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_store_may_be_absent(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     for store in ("runs", "empty"):  # the default store, before anybody has trained
@@ -109,7 +105,7 @@ def test_store_may_be_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         index.load(tmp_path / "absent")
 
 
-def test_values_of_several_types_share_a_column(tmp_path: Path) -> None:
+def test_values_of_several_types_share_a_column(tmp_path):
     """Runs of another version may have declared another type."""
     store = tmp_path / "runs"
     for name, columns in {
@@ -130,7 +126,7 @@ def test_values_of_several_types_share_a_column(tmp_path: Path) -> None:
     assert frame.iloc[2][["a", "b", "c"]].isna().all()
 
 
-def test_only_what_changed_is_read_again(tmp_path: Path, reads: list[str]) -> None:
+def test_only_what_changed_is_read_again(tmp_path, reads):
     store = tmp_path / "runs"
     for name in "abcd":
         write(store, name, psnr=1.0)
@@ -166,9 +162,7 @@ operations = st.lists(
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(operations)
-def test_store_that_changes_reads_as_if_read_for_the_first_time(
-    tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[str, str, Any, bool]]
-) -> None:
+def test_store_that_changes_reads_as_if_read_for_the_first_time(tmp_path_factory, steps):
     store = tmp_path_factory.mktemp("store") / "runs"
     store.mkdir()
     for operation, name, value, look in steps:
@@ -195,7 +189,7 @@ def test_store_that_changes_reads_as_if_read_for_the_first_time(
     pd.testing.assert_frame_equal(warm[list(cold.columns)], cold, check_dtype=False)
 
 
-def test_columns_that_are_asked_for(tmp_path: Path) -> None:
+def test_columns_that_are_asked_for(tmp_path):
     store = tmp_path / "runs"
     write(store, "a", psnr=1.0)
     put(write(store, "b") / SUMMARY, b"damaged")
@@ -205,13 +199,13 @@ def test_columns_that_are_asked_for(tmp_path: Path) -> None:
     assert frame["state"].tolist() == ["finished", "damaged"]
 
 
-def test_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_that_goes_while_it_is_read_is_no_row(tmp_path, monkeypatch):
     store = tmp_path / "runs"
     for name in "ab":
         write(store, name)
     scan = index.scan
 
-    def scan_then_remove(root: Path) -> index.Stamps:
+    def scan_then_remove(root):
         stamps = scan(root)
         shutil.rmtree(store / "a")
         return stamps
@@ -221,18 +215,15 @@ def test_run_that_goes_while_it_is_read_is_no_row(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize("moment", ["checked_status", "read_summary", "_frame"])
-def test_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
-) -> None:
+def test_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(tmp_path, monkeypatch, moment):
     """Never finished with the numbers from before, nor interrupted because its owner has just released it."""
     store = RunStore(tmp_path / "runs")
     run = store.claim("a", CONFIG).run
-    assert run is not None
     run.write_summary({"psnr": 1.0})
     module = index if moment == "_frame" else records.read
     original = getattr(module, moment)
 
-    def ending(*arguments: Any) -> Any:
+    def ending(*arguments):
         monkeypatch.undo()
         run.finish({"psnr": 2.0})
         return original(*arguments)
@@ -244,11 +235,11 @@ def test_run_that_ends_while_it_is_read_is_shown_as_it_was_or_as_it_is(
     assert index.load(store.root)["state"].tolist() == ["finished"]
 
 
-def test_index_tries_again_what_cannot_be_read_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_index_tries_again_what_cannot_be_read_now(tmp_path, monkeypatch):
     store = tmp_path / "runs"
     write(store, "a", psnr=1.0)
 
-    def broken(*_: Any) -> bytes:
+    def broken(*_):
         raise PermissionError(13, "Permission denied")
 
     with monkeypatch.context() as context:

@@ -14,19 +14,18 @@ from omegaconf import OmegaConf
 from PIL import Image
 
 from qnerf import records
-from qnerf.records import RunStore, store
+from qnerf.records import store
 from tests.helpers.stores import CONFIG, claimed
 
 TEXT = str(pd.Series(["text"]).dtype)
 """What pandas reads text as: `object` before pandas 3, `str` since."""
 
 
-def test_a_new_run_is_complete_from_its_first_moment(store_: RunStore) -> None:
+def test_a_new_run_is_complete_from_its_first_moment(store_):
     claim = store_.claim(
         "fox-1", CONFIG, ["seed=0", "train.lr=1e-6"], columns={"field": "qcolor", "time.field_ms": None}
     )
     assert (claim.outcome, claim.dir.name) == ("new", "fox-1")
-    assert claim.run is not None
     assert not claim.run.resumed
     assert (claim.dir / "overrides.txt").read_text() == "seed=0\ntrain.lr=1e-6\n"
     metrics = pd.read_parquet(claim.dir / "metrics")
@@ -46,7 +45,7 @@ def test_a_new_run_is_complete_from_its_first_moment(store_: RunStore) -> None:
     claim.run.finish()
 
 
-def test_config_reads_back_the_same_with_every_reader(store_: RunStore) -> None:
+def test_config_reads_back_the_same_with_every_reader(store_):
     run = claimed(store_)
     text = (run.dir / "config.yaml").read_text()
     assert records.read_config(run.dir) == CONFIG == yaml.safe_load(text)
@@ -57,12 +56,12 @@ def test_config_reads_back_the_same_with_every_reader(store_: RunStore) -> None:
 @settings(max_examples=50)
 @given(st.dictionaries(st.text(max_size=5), st.none() | st.booleans() | st.integers() | st.floats() | st.text()))
 @example({"": "\x85", "a\x85b": "a\x85b"})
-def test_any_text_and_number_survives_yaml(config: dict) -> None:
+def test_any_text_and_number_survives_yaml(config):
     # repr, because nan differs from itself
     assert repr(yaml.safe_load(store.to_yaml(config))) == repr(config)
 
 
-def test_evaluation_keeps_its_types(store_: RunStore) -> None:
+def test_evaluation_keeps_its_types(store_):
     run = claimed(store_)
     run.log(40, 1.0, {"loss": 1.0})
     rows = [{"image": "a.png", "psnr": 20, "lpips": None, "lpips_reason": "no weights", "view": 3}]
@@ -78,7 +77,7 @@ def test_evaluation_keeps_its_types(store_: RunStore) -> None:
     assert len(pd.read_parquet(run.dir / "eval.parquet")) == 2
 
 
-def test_summary_collects_and_keeps_its_types(store_: RunStore) -> None:
+def test_summary_collects_and_keeps_its_types(store_):
     run = claimed(store_, columns={"field": "qcolor"})
     run.write_summary({"psnr": 20, "params.color": 211})
     run.interrupt()
@@ -91,7 +90,7 @@ def test_summary_collects_and_keeps_its_types(store_: RunStore) -> None:
     assert row["state"] == "finished"
 
 
-def test_summary_that_was_changed_since_is_read_from_the_file(store_: RunStore) -> None:
+def test_summary_that_was_changed_since_is_read_from_the_file(store_):
     run = claimed(store_)
     run.finish({"psnr": 20.0, "params.color": 211})
     path = run.dir / "summary.parquet"
@@ -101,7 +100,7 @@ def test_summary_that_was_changed_since_is_read_from_the_file(store_: RunStore) 
     assert records.read_summary(run.dir)["psnr"] == 21.0
 
 
-def test_environment_is_that_of_the_first_start(store_: RunStore) -> None:
+def test_environment_is_that_of_the_first_start(store_):
     run = claimed(store_)
     for environment, diff in (({"a": 1}, "x"), ({"a": 1}, "x"), ({"a": 2}, "")):
         run.write_environment(environment, diff)
@@ -111,7 +110,7 @@ def test_environment_is_that_of_the_first_start(store_: RunStore) -> None:
     run.finish()
 
 
-def test_images_and_texts(store_: RunStore) -> None:
+def test_pictures_and_lines_of_the_log_are_stored(store_):
     run = claimed(store_)
     picture = np.random.default_rng(0).integers(0, 255, (4, 5, 3), dtype=np.uint8)
     run.save_image("view_000", picture)

@@ -13,9 +13,7 @@ from tests.helpers.stores import CONFIG, claimed
 
 
 @pytest.mark.parametrize("store", ["s3://bucket/runs", "http://localhost:1/x", "~/runs", "", "  ", "a\0b"])
-def test_no_run_is_written_elsewhere_than_in_a_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: str
-) -> None:
+def test_no_run_is_written_elsewhere_than_in_a_folder(tmp_path, monkeypatch, store):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="store: expected a folder") as error:
         RunStore(store)
@@ -25,7 +23,7 @@ def test_no_run_is_written_elsewhere_than_in_a_folder(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_store_that_is_read_must_exist(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_that_is_read_must_exist(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert existing_store("runs") == Path("runs")  # nobody has trained yet
     with pytest.raises(ValueError, match="/nope: no such folder"):
@@ -35,7 +33,7 @@ def test_a_store_that_is_read_must_exist(tmp_path: Path, monkeypatch: pytest.Mon
         existing_store(tmp_path / "file")
 
 
-def foreign(folder: Path) -> Path:
+def foreign(folder):
     """A user's folder with files of the names that a run has."""
     folder.mkdir(parents=True)
     (folder / "config.yaml").write_text("mine: true")
@@ -45,7 +43,7 @@ def foreign(folder: Path) -> Path:
     return folder
 
 
-def test_a_folder_with_files_of_the_same_names_is_no_run(tmp_path: Path) -> None:
+def test_a_folder_with_files_of_the_same_names_is_no_run(tmp_path):
     mine = foreign(tmp_path / "runs" / "a")
     before = {path: path.read_bytes() for path in mine.rglob("*") if path.is_file()}
     assert not is_run(mine)
@@ -60,7 +58,7 @@ def test_a_folder_with_files_of_the_same_names_is_no_run(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("damaged", ["status.json", "owner/000000.json"])
-def test_run_with_one_record_that_a_power_cut_emptied_goes_on(store_: RunStore, damaged: str) -> None:
+def test_run_with_one_record_that_a_power_cut_emptied_goes_on(store_, damaged):
     run = claimed(store_)
     run.interrupt()
     (run.dir / damaged).write_bytes(b"")
@@ -69,7 +67,7 @@ def test_run_with_one_record_that_a_power_cut_emptied_goes_on(store_: RunStore, 
     claimed(store_).finish()
 
 
-def test_a_folder_is_a_store_by_one_mark(store_: RunStore) -> None:
+def test_a_folder_is_a_store_by_one_mark(store_):
     run = claimed(store_)
     run.interrupt()
     assert is_run(run.dir)
@@ -79,9 +77,7 @@ def test_a_folder_is_a_store_by_one_mark(store_: RunStore) -> None:
     assert not is_run(run.dir.rename(run.dir.with_name("b")))
 
 
-def test_a_folder_of_the_working_directory_is_named_as_a_path(
-    store_: RunStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_of_the_working_directory_is_named_as_a_path(store_, tmp_path, monkeypatch):
     claimed(store_, "proj").interrupt()
     mine = foreign(tmp_path / "here" / "proj")
     monkeypatch.chdir(mine.parent)
@@ -92,7 +88,7 @@ def test_a_folder_of_the_working_directory_is_named_as_a_path(
 
 
 @pytest.mark.parametrize("name", ["0000000000009.json", "000000 (1).json"])
-def test_other_files_beside_the_owner_s_do_not_count(store_: RunStore, name: str) -> None:
+def test_other_files_beside_the_owner_s_do_not_count(store_, name):
     run = claimed(store_)
     run.interrupt()
     (run.dir / "owner" / name).write_text("{}")
@@ -102,7 +98,7 @@ def test_other_files_beside_the_owner_s_do_not_count(store_: RunStore, name: str
     assert not run.dir.exists()
 
 
-def test_links_are_neither_written_nor_deleted_through(store_: RunStore, tmp_path: Path) -> None:
+def test_links_are_neither_written_nor_deleted_through(store_, tmp_path):
     run = claimed(store_)
     run.interrupt()
     elsewhere = run.dir.rename(tmp_path / "elsewhere")
@@ -119,7 +115,7 @@ def test_links_are_neither_written_nor_deleted_through(store_: RunStore, tmp_pat
     assert {path: path.read_bytes() for path in elsewhere.rglob("*") if path.is_file()} == before
 
 
-def test_folder_that_cannot_be_looked_into_is_no_run(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_looked_into_is_no_run(tmp_path):
     (tmp_path / "odd").mkdir()
     (tmp_path / "odd" / "status.json").symlink_to("status.json")
     assert not is_run(tmp_path / "odd")

@@ -1,8 +1,6 @@
 """Rows of metrics: logged, flushed, dropped after a checkpoint's step."""
 
 import shutil
-import time
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -13,10 +11,11 @@ from hypothesis import strategies as st
 
 from qnerf import records
 from qnerf.records import RunStore, StoreError, writer
+from tests.helpers.processes import wait
 from tests.helpers.stores import claimed
 
 
-def test_log_and_read(store_: RunStore) -> None:
+def test_metric_rows_are_read_as_they_were_logged(store_):
     run = claimed(store_)
     for step in range(5):
         run.log(step, 0.5 * step, {"loss": 1 / (step + 1), "psnr": float("nan") if step == 2 else step})
@@ -34,29 +33,24 @@ def test_log_and_read(store_: RunStore) -> None:
 
 
 @pytest.mark.parametrize("value", ["3", None, [1.0], torch.zeros(2)])
-def test_metric_rows_refuse_what_is_no_number(store_: RunStore, value: object) -> None:
+def test_metric_rows_refuse_what_is_no_number(store_, value):
     run = claimed(store_)
     with pytest.raises(ValueError, match="log: psnr expects a number, got"):
-        run.log(0, 0.0, {"loss": 1.0, "psnr": value})  # type: ignore[dict-item]
+        run.log(0, 0.0, {"loss": 1.0, "psnr": value})
     run.finish()
     assert len(records.read_metrics(run.dir)) == 0
 
 
-def test_rows_reach_the_disk_by_themselves(tmp_path: Path) -> None:
+def test_rows_reach_the_disk_by_themselves(tmp_path):
     run = claimed(RunStore(tmp_path, every=0.02))
     run.log(3, 0.0, {"loss": 1.0})
     before = records.read_status(run.dir)["heartbeat"]
-    end = time.monotonic() + 20
-    while time.monotonic() < end and (
-        len(records.read_metrics(run.dir)) == 0 or records.read_status(run.dir)["heartbeat"] == before
-    ):
-        time.sleep(0.01)
-    assert len(records.read_metrics(run.dir)) == 1
+    wait(lambda: len(records.read_metrics(run.dir)) == 1 and records.read_status(run.dir)["heartbeat"] != before)
     assert records.read_status(run.dir)["step"] == 3
     run.finish()
 
 
-def test_parts_close_and_stay(store_: RunStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metric_parts_close_and_stay(store_, monkeypatch):
     monkeypatch.setattr(writer, "PART_ROWS", 10)
     run = claimed(store_)
     for step in range(13):
@@ -76,9 +70,7 @@ def test_parts_close_and_stay(store_: RunStore, monkeypatch: pytest.MonkeyPatch)
 
 @settings(max_examples=15)
 @given(st.integers(1, 7), st.integers(0, 30), st.integers(-1, 32), st.integers(0, 12))
-def test_resume_drops_exactly_what_lies_beyond(
-    tmp_path_factory: pytest.TempPathFactory, part_rows: int, steps: int, last_step: int, more: int
-) -> None:
+def test_resume_drops_exactly_what_lies_beyond(tmp_path_factory, part_rows, steps, last_step, more):
     store = RunStore(tmp_path_factory.mktemp("runs"), every=60)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writer, "PART_ROWS", part_rows)
@@ -99,9 +91,7 @@ def test_resume_drops_exactly_what_lies_beyond(
     assert not frame.duplicated(["step", "key"]).any()
 
 
-def test_a_damaged_part_is_named_and_without_it_the_run_goes_on(
-    store_: RunStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_damaged_part_is_named_and_without_it_the_run_goes_on(store_, monkeypatch):
     monkeypatch.setattr(writer, "PART_ROWS", 10)
     run = claimed(store_)
     for step in range(25):
@@ -120,7 +110,7 @@ def test_a_damaged_part_is_named_and_without_it_the_run_goes_on(
     assert records.read_metrics(run.dir)["step"].tolist() == [*range(10), *range(20, 24)]
 
 
-def test_copy_of_a_sync_program_is_ignored(store_: RunStore) -> None:
+def test_copy_of_a_sync_program_is_ignored(store_):
     run = claimed(store_)
     run.log(0, 0.0, {"loss": 1.0})
     run.save_checkpoint({"step": 0})

@@ -3,8 +3,6 @@
 import contextlib
 import multiprocessing
 import re
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,12 +19,11 @@ from qnerf.cli import main
 from qnerf.cli.commands import diff
 from qnerf.config.identity import flatten
 from qnerf.records import StoreError
-from qnerf.records.track import Tracked
 
 LAST = 12
 
 
-def descent(rate: float, store: Path, seed: int = 0, stop: int | None = None) -> dict[int, float]:
+def descent(rate, store, seed=0, stop=None):
     """Minimises the square of a number, x, and saves every fifth step; returns x by step. stop: it is killed there."""
     x, seen = torch.tensor(1.0 + seed), dict[int, float]()
     with qnerf.track(
@@ -45,7 +42,7 @@ def descent(rate: float, store: Path, seed: int = 0, stop: int | None = None) ->
     return seen
 
 
-def test_tracked_loop_goes_on_from_what_it_saved(tmp_path: Path) -> None:
+def test_tracked_loop_goes_on_from_what_it_saved(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         descent(0.1, tmp_path, stop=8)
     (run,) = records.runs(tmp_path)
@@ -59,7 +56,7 @@ def test_tracked_loop_goes_on_from_what_it_saved(tmp_path: Path) -> None:
     assert list(tmp_path.glob("descent*")) == [run]
 
 
-def test_tracked_runs_stand_in_tables_beside_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tracked_runs_stand_in_tables_beside_others(tmp_path, capsys):
     for rate in (0.1, 0.2):
         for seed in range(2):
             descent(rate, tmp_path, seed)
@@ -79,7 +76,7 @@ def test_tracked_runs_stand_in_tables_beside_others(tmp_path: Path, capsys: pyte
     assert "only that loop goes on with it" in capsys.readouterr().err
 
 
-def test_tracked_run_has_one_writer_and_its_own_checkpoints(tmp_path: Path) -> None:
+def test_tracked_run_has_one_writer_and_its_own_checkpoints(tmp_path):
     with qnerf.track({}, name="a", store=tmp_path) as run:
         assert run.record is not None
         run.record.save_checkpoint({"step": 1})
@@ -93,8 +90,8 @@ def test_tracked_run_has_one_writer_and_its_own_checkpoints(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("axis", ["epoch", "samples", "constant", "after the save"])
-def test_the_loops_own_counter_alone_says_where_it_goes_on(tmp_path: Path, axis: str) -> None:
-    def loop(stop: int | None = None) -> list[int]:
+def test_the_loops_own_counter_alone_says_where_it_goes_on(tmp_path, axis):
+    def loop(stop=None):
         made = []
         with qnerf.track({"scene": "demo"}, name="a", store=tmp_path) as run:
             for step in run.steps(20):
@@ -122,7 +119,7 @@ def test_the_loops_own_counter_alone_says_where_it_goes_on(tmp_path: Path, axis:
     assert records.read_summary(folder)["steps"] == 20
 
 
-def test_rows_after_the_save_of_their_step_stay(tmp_path: Path) -> None:
+def test_rows_after_the_save_of_their_step_stay(tmp_path):
     for stop in (3, None):
         with contextlib.suppress(KeyboardInterrupt), qnerf.track({}, name="a", store=tmp_path) as run:
             for step in run.steps(4):
@@ -134,7 +131,7 @@ def test_rows_after_the_save_of_their_step_stay(tmp_path: Path) -> None:
     assert records.read_metrics(run.path)["value"].tolist() == [1, 2, 3, 4]
 
 
-def test_steps_go_on_where_the_loop_before_ended(tmp_path: Path) -> None:
+def test_steps_go_on_where_the_loop_before_ended(tmp_path):
     with qnerf.track({}, name="a", store=tmp_path) as run:
         assert (list(run.steps(3)), list(run.steps(5))) == ([1, 2, 3], [4, 5])
         run.save({})
@@ -142,7 +139,7 @@ def test_steps_go_on_where_the_loop_before_ended(tmp_path: Path) -> None:
         list(run.steps(4))
 
 
-def test_a_loop_that_counts_by_itself_saves_nothing(tmp_path: Path) -> None:
+def test_a_loop_that_counts_by_itself_saves_nothing(tmp_path):
     with qnerf.track({}, name="a", store=tmp_path) as run:
         run.log(7, loss=1.0)
         with pytest.raises(StoreError, match=r"expected `for step in run\.steps\(N\)`"):
@@ -152,20 +149,20 @@ def test_a_loop_that_counts_by_itself_saves_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("key", [None, 0, "", b"x", ("a",), "\udcff"])
-def test_a_key_is_text(tmp_path: Path, key: object) -> None:
+def test_a_key_is_text(tmp_path, key):
     with qnerf.track({}, name="a", store=tmp_path) as run:
         run.log(1, good=1.0)
         with pytest.raises(ValueError, match="log: expected text as a key"):
-            run.log(1, {key: 1.0})  # type: ignore[dict-item]
+            run.log(1, {key: 1.0})
         with pytest.raises(ValueError, match=r"log: expected a whole number as the step, got 1\.5"):
-            run.log(1.5, loss=1.0)  # type: ignore[arg-type]
+            run.log(1.5, loss=1.0)
         if not isinstance(key, (int, str)) or key == "\udcff":
             with pytest.raises(ValueError, match="summary: expected keys of text, each once"):
-                run.finish({key: 1.0})  # type: ignore[dict-item]
+                run.finish({key: 1.0})
     assert records.read_metrics(run.path)["key"].tolist() == ["good"]
 
 
-def test_a_fork_writes_nothing_and_says_so(tmp_path: Path) -> None:
+def test_a_fork_writes_nothing_and_says_so(tmp_path):
     context = multiprocessing.get_context("fork")
     with qnerf.track({}, name="a", store=tmp_path) as run:
         for step in run.steps(2):
@@ -182,7 +179,7 @@ def test_a_fork_writes_nothing_and_says_so(tmp_path: Path) -> None:
     assert records.state(run.path) == "finished"
 
 
-def _in_fork(run: Tracked, queue: Any) -> None:
+def _in_fork(run, queue):
     said = []
     for act in (lambda: run.log(1, x=2.0), lambda: run.save({}), lambda: run.finish(psnr=2.0)):
         try:
@@ -194,7 +191,7 @@ def _in_fork(run: Tracked, queue: Any) -> None:
     queue.put(said)
 
 
-def test_a_second_rank_is_told_that_one_tracks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_rank_is_told_that_one_tracks(tmp_path, monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
     with (
         qnerf.track({}, name="a", store=tmp_path),
@@ -204,7 +201,7 @@ def test_a_second_rank_is_told_that_one_tracks(tmp_path: Path, monkeypatch: pyte
         pass
 
 
-def test_the_block_is_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_block_is_the_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other").mkdir()
     with qnerf.track({}, name="a", store="runs") as run:
@@ -224,7 +221,7 @@ PLAIN = [
 
 
 @pytest.mark.parametrize("config", [*GROUPS, *PLAIN], ids=str)
-def test_every_name_of_an_option_tells_runs_apart(tmp_path: Path, config: dict[str, Any]) -> None:
+def test_every_name_of_an_option_tells_runs_apart(tmp_path, config):
     (name,) = config
     other = {name: {"lr": 2}} if isinstance(config[name], dict) else {name: 2}
     for options, psnr in ((config, 20.0), (other, 30.0)):
@@ -241,7 +238,7 @@ def test_every_name_of_an_option_tells_runs_apart(tmp_path: Path, config: dict[s
 
 
 @pytest.mark.parametrize("config", [{"scene": "s"}, {}])
-def test_a_name_alone_tells_runs_apart(tmp_path: Path, config: dict[str, Any]) -> None:
+def test_a_name_alone_tells_runs_apart(tmp_path, config):
     for name, psnr in (("_one", 20.0), ("two", 30.0)):
         for seed in (0, 1):
             with qnerf.track({**config, "seed": seed}, name=name, store=tmp_path) as run:
@@ -263,7 +260,7 @@ def test_a_name_alone_tells_runs_apart(tmp_path: Path, config: dict[str, Any]) -
         ({"val.loss": 3}, "val.loss: dots are for options; expected a result such as val/loss"),
     ],
 )
-def test_a_result_has_a_name_of_its_own(tmp_path: Path, results: dict[str, Any], message: str) -> None:
+def test_a_result_has_a_name_of_its_own(tmp_path, results, message):
     with qnerf.track({"lr": 0.1}, name="a", store=tmp_path) as run:
         with pytest.raises(ValueError, match=message):
             run.finish(results)
@@ -271,7 +268,7 @@ def test_a_result_has_a_name_of_its_own(tmp_path: Path, results: dict[str, Any],
     assert records.read_summary(run.path)["psnr"] == 1.0
 
 
-def test_two_options_of_one_name_are_refused(tmp_path: Path) -> None:
+def test_two_options_of_one_name_are_refused(tmp_path):
     for config in (
         {"train.lr": 0.1, "train": {"lr": 0.2}},
         {"lr": 0.1, "train": {"lr": 0.2}},
@@ -282,7 +279,7 @@ def test_two_options_of_one_name_are_refused(tmp_path: Path) -> None:
     assert not records.runs(tmp_path)
 
 
-def test_numbers_may_be_numpy_s_and_pytorch_s_but_a_seed_is_whole(tmp_path: Path) -> None:
+def test_numbers_may_be_numpy_s_and_pytorch_s_but_a_seed_is_whole(tmp_path):
     for seed in ("x", 1.5):
         with (
             pytest.raises(ValueError, match="seed: expected a whole number, got"),
@@ -299,7 +296,7 @@ def test_numbers_may_be_numpy_s_and_pytorch_s_but_a_seed_is_whole(tmp_path: Path
     assert qnerf.load("a-", store=tmp_path).eval()["ssim"].tolist() == [0.5]
 
 
-def test_a_run_says_who_it_is_and_what_to_type_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_says_who_it_is_and_what_to_type_next(tmp_path, capsys):
     with qnerf.track({"seed": 0}, name="mine", store=tmp_path) as run:
         assert repr(run) == f"<tracked run {run.id}, step 0, in {tmp_path}>"
         run.finish(accuracy=93.25, mse=0.5, params={"total": 12})
@@ -313,7 +310,7 @@ def test_a_run_says_who_it_is_and_what_to_type_next(tmp_path: Path, capsys: pyte
     assert selection.main_metric(load.runs(tmp_path)) == "accuracy"
 
 
-def test_what_the_machine_does_is_logged_if_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_machine_does_is_logged_if_asked_for(tmp_path, monkeypatch):
     monkeypatch.setattr("qnerf.records.track.SYSTEM_EVERY", 0.0)
     for system in (False, True):
         with qnerf.track({"seed": int(system)}, name="mine", store=tmp_path, system=system) as run:

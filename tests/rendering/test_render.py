@@ -7,19 +7,19 @@ from qnerf.rendering.render import render, volume_weights
 from qnerf.types import Samples
 
 
-def rays(count: int, samples: int, dtype: torch.dtype = torch.float64, seed: int = 0) -> tuple[torch.Tensor, Samples]:
+def rays(count, samples, dtype=torch.float64, seed=0):
     generator = torch.Generator().manual_seed(seed)
     s = torch.rand(count, samples + 1, dtype=dtype, generator=generator).sort(-1).values
     density = torch.rand(count, samples, dtype=dtype, generator=generator).mul(8).sub(4).exp()
     return density, Samples(1 + 5 * s, s)
 
 
-def test_nan_densities_are_not_hidden() -> None:
+def test_nan_densities_are_not_hidden():
     assert bool(volume_weights(torch.tensor([[1.0, math.nan]]), torch.ones(1, 2)).isnan().any())
 
 
 @pytest.mark.parametrize("background", ["last_sample", "white", "black"])
-def test_opaque_first_sample_and_empty_ray(background: str) -> None:
+def test_opaque_first_sample_and_empty_ray(background):
     density = torch.tensor([[math.inf, 1.0, 1.0], [0.0, 0.0, 0.0]])
     color = torch.tensor([[0.1, 0.2, 0.3], [0.5, 0.5, 0.5], [0.9, 0.8, 0.7]]).expand(2, 3, 3)
     edges = torch.tensor([[1.0, 2.0, 3.0, 5.0]]).expand(2, 4)
@@ -33,21 +33,20 @@ def test_opaque_first_sample_and_empty_ray(background: str) -> None:
     assert (behind is None) == (background == "last_sample")
 
 
-def test_random_background_is_the_one_returned() -> None:
+def test_random_background_is_the_one_returned():
     density, along = rays(6, 4)
     color = torch.zeros(6, 4, 3, dtype=torch.float64)
     weights = volume_weights(density, along.deltas)
     (first, behind), (again, _) = (
         render(weights, color, along, background="random", generator=torch.Generator().manual_seed(3)) for _ in range(2)
     )
-    assert behind is not None
     assert behind.dtype == torch.float64
     torch.testing.assert_close(first.color, (1 - first.accumulation)[:, None] * behind)
     assert torch.equal(first.color, again.color)
     assert len(behind.unique()) == 18
 
 
-def test_bad_backgrounds_are_refused() -> None:
+def test_bad_backgrounds_are_refused():
     density, along = rays(2, 3)
     color = torch.rand(2, 3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     with pytest.raises(ValueError, match="last_sample, white, black, random, got 'grey'"):
@@ -57,7 +56,7 @@ def test_bad_backgrounds_are_refused() -> None:
 
 
 @pytest.mark.parametrize("background", ["last_sample", "white"])
-def test_rendering_against_a_loop(background: str) -> None:
+def test_rendering_against_a_loop(background):
     density, along = rays(4, 9, seed=5)
     color = torch.rand(4, 9, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     rendering, _ = render(volume_weights(density, along.deltas), color, along, background=background)

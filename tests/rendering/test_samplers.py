@@ -1,8 +1,5 @@
-from typing import Any
-
 import pytest
 import torch
-from torch import Tensor
 
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.visibility import SpaceMask
@@ -16,13 +13,13 @@ SMALL = {"samples": [16, 12], "final": 8, "levels": 2, "max_resolutions": [24, 3
 DTYPES = [torch.float32, torch.float64]
 
 
-def make(name: str, dtype: torch.dtype = torch.float32, **options: Any) -> Any:
+def make(name, dtype=torch.float32, **options):
     torch.manual_seed(0)
-    sizes: dict[str, Any] = {"proposal": SMALL, "vanilla": {"coarse": 8, "fine": 12}}.get(name, {"samples": 10})
+    sizes = {"proposal": SMALL, "vanilla": {"coarse": 8, "fine": 12}}.get(name, {"samples": 10})
     return SAMPLERS.build(name, CONTRACTIONS.build("linf"), **(sizes | options)).to(dtype)
 
 
-def make_rays(count: int = 5, dtype: torch.dtype = torch.float32, near: float = 0.05, far: float = 1000.0) -> Rays:
+def make_rays(count=5, dtype=torch.float32, near=0.05, far=1000.0):
     generator = torch.Generator().manual_seed(1)
     directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)
     origins = torch.rand(count, 3, generator=generator, dtype=torch.float64) - 0.5
@@ -30,7 +27,7 @@ def make_rays(count: int = 5, dtype: torch.dtype = torch.float32, near: float = 
     return Rays(origins.to(dtype), directions.to(dtype), torch.zeros(count, dtype=torch.int64), *bounds)
 
 
-def shell(points: Tensor) -> Tensor:
+def shell(points):
     """Density of an opaque shell of radius 2 to 2.5."""
     radius = points.norm(dim=-1)
     return ((radius > 2) & (radius < 2.5)).to(points.dtype) * 30
@@ -39,7 +36,7 @@ def shell(points: Tensor) -> Tensor:
 COUNTS = {"proposal": 8, "vanilla": 20}
 
 
-def test_samples_have_the_dtype_of_the_rays_and_no_gradient() -> None:
+def test_samples_have_the_dtype_of_the_rays_and_no_gradient():
     for dtype in DTYPES:
         for jitter in (False, True):
             for name in NAMES:
@@ -54,10 +51,10 @@ def test_samples_have_the_dtype_of_the_rays_and_no_gradient() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_generator_decides(name: str) -> None:
+def test_jitter_of_a_sampler_follows_its_generator(name):
     sampler, rays = make(name), make_rays()
 
-    def edges(seed: int | None) -> Tensor:
+    def edges(seed):
         generator = None if seed is None else torch.Generator().manual_seed(seed)
         return sampler(rays, shell, generator=generator, step=3).samples.edges
 
@@ -67,7 +64,7 @@ def test_the_generator_decides(name: str) -> None:
     assert not torch.equal(edges(7), edges(None))
 
 
-def test_rays_do_not_depend_on_their_neighbours() -> None:
+def test_rays_do_not_depend_on_their_neighbours():
     for name in NAMES:
         sampler, rays = make(name), make_rays()
         whole = sampler(rays, shell, step=2000).samples.edges
@@ -75,7 +72,7 @@ def test_rays_do_not_depend_on_their_neighbours() -> None:
         torch.testing.assert_close(part, whole[1:3], rtol=1e-6, atol=0)
 
 
-def test_even_edges_stay_between_the_midpoints_beside_them() -> None:
+def test_even_edges_stay_between_the_midpoints_beside_them():
     rays = make_rays(200, torch.float64)
     jitter = torch.rand(200, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     edges = even_edges(rays, 4, jitter)
@@ -87,7 +84,7 @@ def test_even_edges_stay_between_the_midpoints_beside_them() -> None:
     torch.testing.assert_close(even_edges(rays, 4, None)[0], torch.linspace(0, 1, 5, dtype=torch.float64))
 
 
-def test_vanilla_looks_where_the_density_is() -> None:
+def test_vanilla_looks_where_the_density_is():
     rays = make_rays(20, near=0.05, far=10.0)
     sampler = make("vanilla", coarse=64, fine=64)
     fine = sampler(rays, shell, step=0).samples
@@ -96,7 +93,7 @@ def test_vanilla_looks_where_the_density_is() -> None:
     assert float(inside.double().mean()) > 3 * float((shell(rays.along(even.mids)) > 0).double().mean())
 
 
-def test_proposals_learn_where_the_density_is() -> None:
+def test_proposals_learn_where_the_density_is():
     torch.set_num_threads(1)  # in many steps on tiny tensors a second one only costs
     rays = make_rays(64, near=0.05, far=10.0)
     sampler = make("proposal", samples=[32, 24], final=16, log2_table_size=12, anneal_steps=0)
@@ -113,7 +110,7 @@ def test_proposals_learn_where_the_density_is() -> None:
     assert after > 2 * before
 
 
-def test_proposals_learn_in_the_steps_that_the_schedule_names() -> None:
+def test_proposals_learn_in_the_steps_that_the_schedule_names():
     sampler = make("proposal", update_every=5)
     assert [step for step in range(31) if sampler.learns(step)] == [*range(10), 14, 19, 24, 29]
     every = make("proposal", update_every=1)
@@ -125,7 +122,7 @@ def test_proposals_learn_in_the_steps_that_the_schedule_names() -> None:
         assert not sampler(make_rays(), shell, step=9).proposals[0][1].requires_grad
 
 
-def test_the_mask_empties_proposals() -> None:
+def test_the_mask_empties_proposals():
     sampler = make("proposal")
     sampler.mask = half_space()
     rays = make_rays()
@@ -136,19 +133,19 @@ def test_the_mask_empties_proposals() -> None:
         assert bool((weights[allowed] > 0).any())
 
 
-def half_space() -> SpaceMask:
+def half_space():
     grid = torch.zeros(4, 4, 4, dtype=torch.bool)
     grid[2:] = True
     return SpaceMask(grid)
 
 
-BAD: dict[str, tuple[str, dict[str, object]]] = {
+BAD = {
     "known: disparity, geometric, piecewise, uniform": ("vanilla", {"spacing": "log"}),
     "one number per network": ("proposal", {"samples": [8]}),
 }
 
 
-def test_bad_options_are_refused() -> None:
+def test_samplers_refuse_bad_options():
     for message, (name, options) in BAD.items():
         with pytest.raises(ValueError, match=message):
             make(name, **options)

@@ -7,7 +7,7 @@ NAMES = SPACINGS.names()
 BOUNDS = [(0.05, 1000.0), (0.05, 1e6), (0.3, 0.9), (2.0, 6.0), (1.0, 4.0), (0.5, 1.0)]
 
 
-def bounds(near: float, far: float, dtype: torch.dtype = torch.float64) -> tuple[torch.Tensor, torch.Tensor]:
+def bounds(near, far, dtype=torch.float64):
     return torch.tensor([[near]], dtype=dtype), torch.tensor([[far]], dtype=dtype)
 
 
@@ -19,7 +19,7 @@ CURVES = {
 }
 
 
-def test_ends_and_even_steps_of_the_curve_on_rays_with_bounds_of_their_own() -> None:
+def test_spacings_have_the_ends_and_even_steps_of_their_curves():
     near, far = torch.tensor(BOUNDS, dtype=torch.float64).split(1, dim=1)
     s = torch.linspace(0, 1, 1001, dtype=torch.float64).expand(len(BOUNDS), -1)
     for name in NAMES:
@@ -29,7 +29,7 @@ def test_ends_and_even_steps_of_the_curve_on_rays_with_bounds_of_their_own() -> 
         torch.testing.assert_close((CURVES[name](t) - first) / (last - first), s, rtol=0, atol=1e-9)
 
 
-def test_near_zero_and_a_million_far() -> None:
+def test_spacings_take_near_0_and_far_a_million():
     for name in ("uniform", "piecewise"):
         for dtype in (torch.float32, torch.float64):
             spacing = SPACINGS.build(name, *bounds(0.0, 1e6, dtype))
@@ -41,6 +41,6 @@ def test_near_zero_and_a_million_far() -> None:
 
 
 @pytest.mark.parametrize("name", ["disparity", "geometric"])
-def test_near_zero_is_refused_where_it_is_undefined(name: str) -> None:
+def test_near_zero_is_refused_where_it_is_undefined(name):
     with pytest.raises(ValueError, match=f"spacing={name} needs near above 0, got 0"):
         SPACINGS.build(name, *bounds(0.0, 10.0))

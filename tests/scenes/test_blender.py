@@ -3,7 +3,6 @@
 import json
 import shutil
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ build, refused = partial(scenes.build, "blender"), partial(scenes.refused, "blen
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Ten views: five train, three test, two val."""
     folder = write_scene(tmp_path / "scene", views=10, width=8, height=8, channels=4)
     frames = json.loads((folder / "transforms.json").read_text())["frames"]

@@ -11,7 +11,7 @@ from qnerf.training.image_metrics import VIEW_DEPENDENT
 
 
 @pytest.mark.parametrize(("name", "width"), [("poster", 36), ("glossy", 64)])
-def test_shapes_and_split(name, width):
+def test_built_in_scenes_have_their_shapes_and_split(name, width):
     scene = SCENES.build(name, views=12)
     assert scene.images.shape == (12, 64, width, 3)
     assert scene.images.dtype == torch.uint8
@@ -76,7 +76,7 @@ def test_the_matte_table_has_no_specular_light():
 
 
 @pytest.mark.parametrize(("name", "most"), [("poster", 226), ("glossy", 120)])
-def test_bad_options_are_refused(name, most):
+def test_built_in_scenes_refuse_bad_options(name, most):
     for options, message in (
         ({"views": 2}, f"views must be between 3 and {most}"),
         ({"views": most + 1}, f"views must be between 3 and {most}"),

@@ -11,13 +11,13 @@ from qnerf.scenes import split_views
 from qnerf.scenes.normalise import far_out, normalise, rigid, rotation_between
 
 
-def random_rotation(random: np.random.Generator) -> np.ndarray:
+def random_rotation(random):
     q, r = np.linalg.qr(random.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.linalg.det(q)
 
 
-def random_poses(seed: int, views: int = 7) -> np.ndarray:
+def random_poses(seed, views=7):
     random = np.random.default_rng(seed)
     return np.stack([np.column_stack([random_rotation(random), random.normal(size=3) * 5 + 9]) for _ in range(views)])
 

@@ -3,14 +3,13 @@
 import json
 import shutil
 import struct
-from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from qnerf.scenes import Scene
 from qnerf.scenes.formats.colmap import MODELS, camera_to_world, read_model
 from tests.helpers.scenes import build, refused, write_scene
 
@@ -18,25 +17,25 @@ VIEWS, WIDTH, HEIGHT = 9, 16, 12
 
 
 @pytest.fixture
-def posed(tmp_path: Path) -> Path:
+def posed(tmp_path):
     return write_scene(tmp_path / "scene", VIEWS, WIDTH, HEIGHT)
 
 
-def poses(folder: Path) -> list[np.ndarray]:
+def poses(folder):
     """Camera-to-world 4 x 4, as the transforms file has them; the file goes."""
     content = json.loads((folder / "transforms.json").read_text())
     (folder / "transforms.json").unlink()
     return [np.array(frame["transform_matrix"]) for frame in content["frames"]]
 
 
-def world_to_camera(pose: np.ndarray) -> list[float]:
+def world_to_camera(pose):
     """COLMAP's qw qx qy qz tx ty tz, from its definition."""
     matrix = np.linalg.inv(pose @ np.diag([1.0, -1, -1, 1]))
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
     return [w, x, y, z, *matrix[:3, 3]]
 
 
-def write_text(folder: Path, model: str = "PINHOLE 16 12 8 8 8 6", nested: str = "sparse/0") -> Path:
+def write_text(folder, model="PINHOLE 16 12 8 8 8 6", nested="sparse/0"):
     place = folder / nested
     place.mkdir(parents=True)
     (place / "cameras.txt").write_text(f"# Camera list\n7 {model}\n")
@@ -48,7 +47,7 @@ def write_text(folder: Path, model: str = "PINHOLE 16 12 8 8 8 6", nested: str =
     return place
 
 
-def write_binary(folder: Path) -> Path:
+def write_binary(folder):
     place = folder / "sparse" / "0"
     place.mkdir(parents=True)
     (place / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 7, 1, WIDTH, HEIGHT, 8, 8, 8, 6))
@@ -60,7 +59,7 @@ def write_binary(folder: Path) -> Path:
     return place
 
 
-def write_llff(folder: Path, factor: int = 1, from_text: Path | None = None) -> None:
+def write_llff(folder, factor=1, from_text=None):
     """factor: by which the file's images are larger; from_text: a model that has the poses."""
     rows = []
     frames = read_model(from_text)["frames"] if from_text else []
@@ -71,13 +70,13 @@ def write_llff(folder: Path, factor: int = 1, from_text: Path | None = None) -> 
     np.save(folder / "poses_bounds.npy", np.array(rows))
 
 
-def same(one: Scene, other: Scene) -> None:
+def same(one, other):
     torch.testing.assert_close(one.cameras.poses, other.cameras.poses)
     torch.testing.assert_close(one.cameras.intrinsics, other.cameras.intrinsics)
     assert torch.equal(one.images, other.images)
 
 
-def test_a_reconstruction_is_the_scene_that_it_was_written_from(tmp_path: Path) -> None:
+def test_a_reconstruction_is_the_scene_that_it_was_written_from(tmp_path):
     for write, kind in ((write_text, "colmap"), (write_binary, "colmap"), (write_llff, "llff")):
         folder = write_scene(tmp_path / write.__name__, VIEWS, WIDTH, HEIGHT)
         expected = build("nerfstudio", folder)
@@ -92,7 +91,7 @@ def test_a_reconstruction_is_the_scene_that_it_was_written_from(tmp_path: Path) 
         assert (small.cameras.width, small.cameras.height) == (8, 6)
 
 
-def test_sparse_points_are_read_with_the_views_that_see_them(tmp_path: Path) -> None:
+def test_sparse_points_are_read_with_the_views_that_see_them(tmp_path):
     track = [(2, 0), (7, 3)]  # an image and the number of a point in it
     for write in (write_text, write_binary):
         folder = write_scene(tmp_path / write.__name__, VIEWS, WIDTH, HEIGHT)
@@ -116,7 +115,7 @@ def test_sparse_points_are_read_with_the_views_that_see_them(tmp_path: Path) -> 
         refused("colmap", folder, "damaged or cut short", points=True)
 
 
-def test_smaller_images_stand_in(posed: Path) -> None:
+def test_reconstructions_take_smaller_images(posed):
     expected = build("nerfstudio", posed)
     write_text(posed)
     write_llff(posed, factor=4, from_text=posed / "sparse/0")
@@ -128,7 +127,7 @@ def test_smaller_images_stand_in(posed: Path) -> None:
     same(build("colmap", posed, images="images_4"), expected)
 
 
-def test_photographs_may_lie_in_the_scene_s_folder_itself(posed: Path) -> None:
+def test_photographs_may_lie_in_the_scene_s_folder_itself(posed):
     expected = build("nerfstudio", posed)
     write_text(posed, nested="colmap/sparse/0")
     for file in list((posed / "images").iterdir()):
@@ -139,7 +138,7 @@ def test_photographs_may_lie_in_the_scene_s_folder_itself(posed: Path) -> None:
     assert len(build("colmap", posed, skip_missing=True).names) == VIEWS - 1
 
 
-def test_camera_models(posed: Path) -> None:
+def test_camera_models_of_colmap_are_read_or_refused(posed):
     place = write_text(posed)
     for model, lens in (
         ("SIMPLE_PINHOLE 16 12 9 8 6", [9, 9, 8, 6, 0, 0, 0, 0]),
@@ -166,8 +165,7 @@ def test_camera_models(posed: Path) -> None:
         refused("colmap", posed, *needles)
 
 
-def test_the_numbers_and_names_of_camera_models_are_colmap_s() -> None:
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+def test_the_numbers_and_names_of_camera_models_are_colmap_s():
     for number, (name, keys) in MODELS.items():
         camera = pycolmap.Camera.create_from_model_id(1, pycolmap.CameraModelId(number), 10.0, 20, 10)
         theirs = camera.params_info.replace("fx", "fl_x").replace("fy", "fl_y").split(", ")
@@ -175,8 +173,7 @@ def test_the_numbers_and_names_of_camera_models_are_colmap_s() -> None:
         assert (camera.model.name, theirs) == (name, keys.split())
 
 
-def test_a_model_that_pycolmap_wrote(tmp_path: Path) -> None:
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+def test_a_model_that_pycolmap_wrote(tmp_path):
     options = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_frames_per_rig=4, num_points3D=20)
     model = pycolmap.synthesize_dataset(options)
     for number, image in model.images.items():
@@ -192,7 +189,7 @@ def test_a_model_that_pycolmap_wrote(tmp_path: Path) -> None:
             np.testing.assert_allclose(np.array(frame["transform_matrix"])[:3], expected, atol=1e-9)
 
 
-def test_a_text_model_without_lines_of_points_is_refused_with_what_to_do(posed: Path) -> None:
+def test_a_text_model_without_lines_of_points_is_refused_with_what_to_do(posed):
     place = write_text(posed)
     text = (place / "images.txt").read_text()
     records = [line for line in text.splitlines() if line.endswith(".png")]
@@ -214,7 +211,7 @@ def test_a_text_model_without_lines_of_points_is_refused_with_what_to_do(posed: 
         refused("colmap", posed, "damaged or cut short" if "nan" not in record else "no rotation")
 
 
-def test_names_with_spaces_and_files_left_over_from_another_model(posed: Path) -> None:
+def test_names_with_spaces_and_files_left_over_from_another_model(posed):
     place = write_text(posed)
     (posed / "images" / "003.png").rename(posed / "images" / "0 3.png")
     (place / "images.txt").write_text((place / "images.txt").read_text().replace("003.png", "0 3.png  "))
@@ -229,7 +226,7 @@ def test_names_with_spaces_and_files_left_over_from_another_model(posed: Path) -
 @pytest.mark.parametrize(
     "places", [("sparse/0", "sparse/1"), ("colmap/sparse/0", "colmap/sparse/2"), ("sparse/3", "sparse/1")]
 )
-def test_of_several_models_the_largest_is_read(posed: Path, places: tuple[str, str]) -> None:
+def test_of_several_models_the_largest_is_read(posed, places):
     small, large = places
     write_text(posed, nested=large)
     shutil.copytree(posed / large, posed / small)
@@ -244,7 +241,7 @@ def test_of_several_models_the_largest_is_read(posed: Path, places: tuple[str, s
     assert len(build("colmap", posed).cameras) == VIEWS
 
 
-def test_damaged_models_are_one_line(posed: Path) -> None:
+def test_damaged_models_are_one_line(posed):
     place = write_binary(posed)
     for name in ("images.bin", "cameras.bin"):
         whole = (place / name).read_bytes()
@@ -258,7 +255,7 @@ def test_damaged_models_are_one_line(posed: Path) -> None:
         camera_to_world(0, 0, 0, 0, 1, 2, 3)
 
 
-def test_llff_takes_its_lens_from_the_model_beside_it(posed: Path) -> None:
+def test_llff_takes_its_lens_from_the_model_beside_it(posed):
     place = write_text(posed)
     write_llff(posed, from_text=place)
     for camera, told in (
@@ -282,7 +279,7 @@ def test_llff_takes_its_lens_from_the_model_beside_it(posed: Path) -> None:
     assert "damaged" in told
 
 
-def test_llff_refuses_bad_folders_in_one_line(posed: Path) -> None:
+def test_llff_refuses_bad_folders_in_one_line(posed):
     write_text(posed)
     write_llff(posed, from_text=posed / "sparse/0")
     (posed / "images" / "000.png").unlink()
@@ -296,7 +293,7 @@ def test_llff_refuses_bad_folders_in_one_line(posed: Path) -> None:
     refused("llff", posed, "is no array that NumPy can read")
 
 
-def test_a_folder_without_the_file_is_told_what_it_holds(tmp_path: Path) -> None:
+def test_a_folder_without_the_file_is_told_what_it_holds(tmp_path):
     """What it advises is then read, or gets as far as the file."""
     for number, (file, hint) in enumerate(
         (

@@ -5,7 +5,6 @@ import json
 import math
 import shutil
 import unicodedata
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,11 +22,11 @@ from tests.helpers.scenes import change, change_frame, write_scene
 NAMES = [f"images/{view:03d}.png" for view in range(6)]
 
 
-def build(folder: Path, **options):
+def build(folder, **options):
     return scenes.build("nerfstudio", folder, **options)
 
 
-def refused(folder: Path, *needles: str, **options) -> str:
+def refused(folder, *needles, **options):
     return scenes.refused("nerfstudio", folder, *needles, **options)
 
 

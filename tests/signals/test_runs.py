@@ -17,8 +17,10 @@ from qnerf.encoders import ENCODERS
 from qnerf.experiment import run
 from qnerf.metrics import METRICS
 from qnerf.probes import load as load_trained
+from qnerf.quantum import QuantumLayer
 from qnerf.records import details
 from qnerf.signals import Photograph
+from qnerf.timing import Stopwatch
 from qnerf.training.trainer import Diverged
 from tests.helpers.configs import composed
 
@@ -96,15 +98,11 @@ def built(config):
 
 
 def task_watch(task):
-    from qnerf.quantum import QuantumLayer
-    from qnerf.timing import Stopwatch
-
     return Stopwatch(torch.device("cpu"), task.model, QuantumLayer)
 
 
-def test_mistakes_are_one_line():
+def test_configurations_of_signals_with_a_mistake_are_refused():
     for overrides, message in (
-        (["scene.name=photograph"], "scene=photograph needs the group head; choose it with scene=photograph"),
         (["scene=photograph", "scene.name=poster"], "scene=poster"),
         (["scene=photograph", "train=quick", "sampler=proposal"], "train: "),
         (["scene=photograph", "head.activation=relu"], "activation: unknown name 'relu'"),
@@ -123,16 +121,8 @@ def test_probes_refuse_a_signal_in_one_line(fit):
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        (
-            "targets",
-            lambda y: y[:, 0],
-            r"Photograph.targets: expected .* \(1024, C\), got float64 \(1024,\)",
-        ),
-        (
-            "targets",
-            lambda y: y[:90],
-            r"Photograph.targets: expected .* \(1024, C\), got float64 \(90, 3\)",
-        ),
+        ("targets", lambda y: y[:, 0], r"Photograph.targets: expected .* \(1024, C\), got float64 \(1024,\)"),
+        ("targets", lambda y: y[:90], r"Photograph.targets: expected .* \(1024, C\), got float64 \(90, 3\)"),
         ("targets", lambda y: y.where(y != y[3, 0], torch.nan), "Photograph.targets: expected finite numbers, got"),
         ("targets", lambda y: y.long(), "got int64"),
         ("targets", lambda y: y.numpy(), "got ndarray"),

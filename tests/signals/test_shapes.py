@@ -51,10 +51,10 @@ def test_the_horse_is_scikit_images_and_its_distance_is_scipys():
 
 def test_an_exact_fit_has_no_error_and_training_points_are_not_measured():
     class Exact:
-        def __init__(self, signal: Distance) -> None:
+        def __init__(self, signal):
             self.values = signal.distances
 
-        def gradients(self, points: torch.Tensor) -> torch.Tensor:
+        def gradients(self, points):
             return torch.nn.functional.one_hot(torch.zeros(len(points), dtype=torch.long), points.shape[1]).double()
 
     for shape, dims in (("horse", 2), ("ellipsoid", 3)):

@@ -1,11 +1,7 @@
 """A third kind of task, from outside the package: one class, which the runner, the store and the commands take."""
 
-from collections.abc import Iterator, Mapping
-
-import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from qnerf.cli import plugins
 from qnerf.config.settings import SignalSettings
@@ -14,7 +10,6 @@ from qnerf.records import read_metrics
 from qnerf.rendering.render import volume_weights
 from qnerf.scenes import SCENES
 from qnerf.signals import build_signal_model
-from qnerf.timing import Stopwatch
 from qnerf.training.evaluation import beside
 from qnerf.training.stopping import Plateau
 from qnerf.training.task import Task
@@ -40,17 +35,17 @@ class Pulse(Task):
         self.eval = list(range(1, times, 2))
         self.images = self.times[:, None, None].expand(times, PIXELS, 3) * 0.8
 
-    def description(self) -> str:
+    def description(self):
         return f"{len(self.times)} times"
 
-    def build(self, settings: SignalSettings) -> None:
+    def build(self, settings):
         self.settings, self.model = settings, build_signal_model(settings, 3, 4)
 
     @property
-    def points_a_step(self) -> int:
+    def points_a_step(self):
         return PIXELS * SAMPLES
 
-    def render(self, view: int) -> Tensor:
+    def render(self, view):
         """(PIXELS, 3): colours at the time of the view."""
         x, y = torch.meshgrid(torch.linspace(0, 1, PIXELS), torch.linspace(0, 1, SAMPLES), indexing="ij")
         values = self.model(torch.stack([x, y, self.times[view].expand_as(x)], -1).flatten(0, 1))
@@ -58,39 +53,37 @@ class Pulse(Task):
         weights = volume_weights(density.squeeze(-1).exp(), torch.full((PIXELS, SAMPLES), 1 / SAMPLES))
         return (weights[..., None] * color.sigmoid()).sum(1)
 
-    def trainer(self, watch: Stopwatch) -> Loop:
+    def trainer(self, watch):
         task, shown = self, [view for view in range(len(self.times)) if view not in self.eval]
 
         class Steps(Loop):
             points_a_step = rays_a_step = task.points_a_step
 
-            def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
+            def terms(self, streams, step):
                 view = shown[step % len(shown)]
                 return {"mse": (task.render(view) - task.images[view]).square().mean()}
 
         return Steps(self.model, self.settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))
 
-    def evaluator(self, watch: Stopwatch) -> "Pulse":
+    def evaluator(self, watch):
         return self
 
     @torch.no_grad()
-    def views(
-        self, views: list[int], step: int, rays: int | None = None
-    ) -> Iterator[tuple["View", dict[str, float | str | None]]]:
+    def views(self, views, step, rays=None):
         for view in views:
             shown = self.render(view)
             error = float((shown - self.images[view]).square().mean())
             yield View(view, shown), {"image": self.names[view], "psnr": decibels(error)}
 
-    def preview(self, step: int) -> np.ndarray:
+    def preview(self, step):
         return self.picture(next(self.views(self.eval, step))[0])
 
-    def picture(self, rendered: "View") -> np.ndarray:
+    def picture(self, rendered):
         return beside([self.images[rendered.view][None], rendered.colors[None]])
 
 
 class View:
-    def __init__(self, view: int, colors: Tensor) -> None:
+    def __init__(self, view, colors):
         self.view, self.colors = view, colors
 
 

@@ -7,7 +7,7 @@ from tests.helpers.trainer import trainer
 CPU = torch.device("cpu")
 
 
-def test_cells_are_drawn_in_proportion_to_their_errors() -> None:
+def test_cells_are_drawn_in_proportion_to_their_errors():
     errors = ErrorMap(10 * 64, 0, CPU, torch.float64)
     numbers = torch.arange(640).repeat_interleave(2)  # 128 renderings of each cell
     wrong = torch.where(numbers // 64 == 3, 0.4, 0.1).double()
@@ -22,13 +22,13 @@ def test_cells_are_drawn_in_proportion_to_their_errors() -> None:
 
 @pytest.mark.parametrize("stride", [0, 2, 7])
 @pytest.mark.parametrize("pixels", [5, 65, 1000])
-def test_only_pixels_that_train_are_drawn(pixels: int, stride: int) -> None:
+def test_only_pixels_that_train_are_drawn(pixels, stride):
     drawn = ErrorMap(pixels, stride, CPU, torch.float32).draw(5000, torch.Generator().manual_seed(0))
     assert 0 <= drawn.min() <= drawn.max() < pixels
     assert not stride or ((drawn + 1) % stride != 0).all()
 
 
-def test_large_photographs_have_larger_cells() -> None:
+def test_large_photographs_have_larger_cells():
     assert len(ErrorMap(10**8, 0, CPU, torch.float32).cells) <= CELLS
 
 

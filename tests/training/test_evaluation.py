@@ -10,7 +10,7 @@ from tests.helpers.trainer import built
 def make(tiny):
     _, scene, model, table, watch = built(tiny("field=qcolor", "qiren.qubits=3"))
 
-    def evaluator(chunk: int = 2048, background: str = "white") -> Evaluator:
+    def evaluator(chunk=2048, background="white"):
         return Evaluator(scene, table, model, background=background, chunk=chunk, watch=watch)
 
     return evaluator

@@ -1,11 +1,9 @@
 import math
-from pathlib import Path
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch import Tensor
 
 from qnerf.training import lpips as lpips_module
 from qnerf.training.image_metrics import (
@@ -22,30 +20,30 @@ from qnerf.training.image_metrics import (
 from qnerf.training.lpips import BACKBONE, HEADS, VARIABLE
 
 
-def images(height: int = 36, width: int = 64, noise: float = 0.05) -> tuple[Tensor, Tensor]:
+def images(height=36, width=64, noise=0.05):
     generator = torch.Generator().manual_seed(0)
     truth = torch.rand(height, width, 3, generator=generator)
     return (truth + noise * torch.randn(height, width, 3, generator=generator)).clamp(0, 1), truth
 
 
-def test_psnr() -> None:
+def test_psnr():
     truth = torch.zeros(4, 5, 3)
     assert psnr(truth + 0.1, truth) == pytest.approx(20.0)
     assert psnr(truth + 1, truth) == 0
     assert psnr(truth, truth) == math.inf
 
 
-def test_psnr_of_nan_is_nan() -> None:
+def test_psnr_of_nan_is_nan():
     assert math.isnan(psnr(torch.full((2, 2, 3), math.nan), torch.zeros(2, 2, 3)))
 
 
 @pytest.mark.parametrize("metric", [psnr, ssim])
-def test_images_of_two_sizes_are_refused(metric: object) -> None:
+def test_images_of_two_sizes_are_refused(metric):
     with pytest.raises(ValueError, match=r"one size expected, got \(4, 5, 3\) and \(5, 4, 3\)"):
-        metric(torch.zeros(4, 5, 3), torch.zeros(5, 4, 3))  # type: ignore[operator]
+        metric(torch.zeros(4, 5, 3), torch.zeros(5, 4, 3))
 
 
-def windowed_ssim(image: Tensor, truth: Tensor, radius: int) -> float:
+def windowed_ssim(image, truth, radius):
     """The definition, by convolution with a Gaussian window over the interior."""
     offset = torch.arange(-radius, radius + 1, dtype=torch.float64)
     sigma = 1.5 if radius == 5 else radius / 3.5
@@ -54,7 +52,7 @@ def windowed_ssim(image: Tensor, truth: Tensor, radius: int) -> float:
     window = (window / window.sum())[None, None]
     x, y = (i.double().permute(2, 0, 1)[:, None] for i in (image, truth))
 
-    def mean(z: Tensor) -> Tensor:
+    def mean(z):
         return torch.nn.functional.conv2d(z, window)
 
     mx, my = mean(x), mean(y)
@@ -63,13 +61,13 @@ def windowed_ssim(image: Tensor, truth: Tensor, radius: int) -> float:
     return float(((2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))).mean())
 
 
-def test_ssim_against_its_definition() -> None:
+def test_ssim_against_its_definition():
     for height, width, radius in ((36, 64, 5), (11, 11, 5), (10, 30, 4), (5, 9, 2), (3, 3, 1)):
         image, truth = images(height, width)
         assert ssim(image, truth) == pytest.approx(windowed_ssim(image, truth, radius), abs=1e-9)
 
 
-def test_ssim_of_identical_constant_and_tiny_images() -> None:
+def test_ssim_of_identical_constant_and_tiny_images():
     image, truth = images()
     assert ssim(truth, truth) == pytest.approx(1)
     grey = torch.full((20, 20, 3), 0.5)
@@ -78,7 +76,7 @@ def test_ssim_of_identical_constant_and_tiny_images() -> None:
     assert ssim(image[:2], truth[:2]) is None
 
 
-def test_depth_error_counts_known_pixels_only() -> None:
+def test_depth_error_counts_known_pixels_only():
     truth = torch.tensor([[1.0, 2.0, math.inf], [math.nan, 0.0, 4.0]])
     depth = torch.tensor([[1.5, 2.0, 7.0], [7.0, 7.0, 3.0]])
     relative, median = depth_error(depth, truth)
@@ -89,7 +87,7 @@ def test_depth_error_counts_known_pixels_only() -> None:
         depth_error(depth, truth[:1])
 
 
-def save_random_weights(folder: Path) -> tuple[torch.nn.Sequential, list[torch.Tensor]]:
+def save_random_weights(folder):
     """AlexNet's layers as torchvision names them, and heads; both random."""
     torch.manual_seed(0)
     conv, relu, pool = torch.nn.Conv2d, torch.nn.ReLU(), torch.nn.MaxPool2d(3, 2)
@@ -105,7 +103,7 @@ def save_random_weights(folder: Path) -> tuple[torch.nn.Sequential, list[torch.T
     return network, heads
 
 
-def test_lpips_is_the_weighted_distance_of_normalised_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lpips_is_the_weighted_distance_of_normalised_features(tmp_path, monkeypatch):
     monkeypatch.delenv(VARIABLE, raising=False)
     image, truth = images()
     value, reason = lpips(image, truth)
@@ -130,7 +128,7 @@ def test_lpips_is_the_weighted_distance_of_normalised_features(tmp_path: Path, m
     assert lpips(image[:31, :31], truth[:31, :31])[0] is not None
 
 
-def test_lpips_refuses_what_is_not_its_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lpips_refuses_what_is_not_its_weights(tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     for name, content in ((BACKBONE, {"features.0.weight": torch.zeros(1)}), (HEADS, {})):
         save_random_weights(tmp_path)
@@ -139,7 +137,7 @@ def test_lpips_refuses_what_is_not_its_weights(tmp_path: Path, monkeypatch: pyte
             lpips(*images())
 
 
-def test_masked_pixels_are_not_counted() -> None:
+def test_masked_pixels_are_not_counted():
     """Whatever stands behind the mask changes nothing; what is left is measured as if it were the image."""
     image, truth = (part.double() for part in images())
     depth, mask = torch.rand(36, 64), torch.ones(36, 64, dtype=torch.bool)
@@ -157,7 +155,7 @@ def test_masked_pixels_are_not_counted() -> None:
     assert nothing["psnr"] is nothing["ssim"] is None
 
 
-def test_view_dependent_pixels_are_measured_apart() -> None:
+def test_view_dependent_pixels_are_measured_apart():
     """Errors of 0.1 where specular light is at the threshold, and of 0.01 below it; a masked pixel counts nowhere."""
     specular = torch.tensor([[VIEW_DEPENDENT, 255, VIEW_DEPENDENT - 1, 0, 255]], dtype=torch.uint8)
     truth, error = torch.zeros(1, 5, 3), torch.tensor([[0.1, 0.1, 0.01, 0.01, 0.9]])[..., None].double()
@@ -172,7 +170,7 @@ def test_view_dependent_pixels_are_measured_apart() -> None:
     assert unknown["psnr_view_dependent"] is unknown["psnr_diffuse"] is None
 
 
-def test_explained_variance_tells_a_picture_from_one_colour() -> None:
+def test_explained_variance_tells_a_picture_from_one_colour():
     _, truth = (part.double() for part in images())
     depth, solid = torch.rand(36, 64), torch.zeros(36, 64, dtype=torch.bool)
     solid[:, 30:] = True

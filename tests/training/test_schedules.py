@@ -6,7 +6,7 @@ from qnerf.training.schedules import SCHEDULES, falls_from, learning_rate
 from tests.helpers.trainer import trainer
 
 
-def schedule(**options) -> Schedule:
+def schedule(**options):
     return Schedule(**{"rates": None, "steps": 200, "lr": 0.5, "lr_final": 0.125, "eps": 1e-15, **options})
 
 

@@ -30,7 +30,7 @@ COMBINATIONS = [
 @pytest.mark.parametrize("overrides", COMBINATIONS)
 def test_steps_of_compiled_loops_are_those_of_plain_operations(overrides, dtype, tiny, monkeypatch):
     """From the same state: losses to rounding, and gradients up to a ReLU that rounding flips in a single step."""
-    gradients: list[dict[str, torch.Tensor]] = []
+    gradients = []
 
     def keep(optimiser):
         parts = {group["name"]: [one.grad for one in group["params"]] for group in optimiser.param_groups}
@@ -47,7 +47,7 @@ def test_steps_of_compiled_loops_are_those_of_plain_operations(overrides, dtype,
     monkeypatch.setattr(module, "apply_gradients", keep)
     config = tiny(*overrides.split(), "train.rays=40", "train.steps=100", f"numerics.dtype={dtype}")
     fast, slow = trainer(config), trainer(config)
-    errors: dict[str, list[float]] = {}
+    errors = {}
     close, closer = (3e-4, 1e-3) if dtype == "float32" else (1e-11, 1e-8)
     for step in range(STEPS):
         if step:

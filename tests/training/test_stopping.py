@@ -18,7 +18,7 @@ from qnerf.training.stopping import Plateau
 psnrs = st.lists(st.floats(0, 50), max_size=30)
 
 
-def fed(values, patience=3, least=0.1, every=10) -> Plateau:
+def fed(values, patience=3, least=0.1, every=10):
     plateau = Plateau(every, patience, least)
     for value in values:
         plateau.add(value)
@@ -26,7 +26,7 @@ def fed(values, patience=3, least=0.1, every=10) -> Plateau:
 
 
 @given(psnrs, st.integers(1, 5), st.floats(0, 2))
-def test_it_stops_after_so_many_checks_without_a_gain(values, patience, least):
+def test_plateau_is_reached_after_so_many_checks_without_a_gain(values, patience, least):
     plateau = Plateau(10, patience, least)
     best, since = -math.inf, 0
     for value in values:
@@ -43,14 +43,14 @@ def test_a_psnr_that_is_no_number_is_no_gain():
 
 
 @given(psnrs)
-def test_off_it_is_never_due_and_never_reached(values):
+def test_plateau_that_is_off_is_never_due_and_never_reached(values):
     plateau = fed(values, every=0, patience=1)
     assert not plateau.reached
     assert not any(plateau.due(step) for step in range(100))
 
 
 @given(psnrs, psnrs)
-def test_it_goes_on_from_its_state(before, after):
+def test_plateau_goes_on_from_its_state(before, after):
     whole, parts = fed(before), Plateau(10, 3, 0.1)
     parts.load(whole.state())
     for value in after:
@@ -93,7 +93,7 @@ def test_a_program_of_somebody_s_own_is_interrupted_and_not_ended(monkeypatch):
     monkeypatch.setattr(stop_requests, "GRACE", 0.0)
     said = [None, None, "stopped at step 3"]
 
-    def waits() -> None:
+    def waits():
         with stop_requests.stop_requests(lambda: said.pop(0)) as stops:
             os.kill(os.getpid(), signal.SIGTERM)
             for _ in range(6000):

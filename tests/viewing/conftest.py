@@ -1,13 +1,12 @@
 """One small finished run, shared by the tests of this folder."""
 
 import dataclasses
-from pathlib import Path
 
 import pytest
 import torch
 
 from qnerf.experiment import run
-from qnerf.probes import Trained, load
+from qnerf.probes import load
 from qnerf.viewing.frames import Renderer
 from tests.helpers.configs import MOMENT, TINY, composed
 from tests.helpers.scenes import write_scene
@@ -16,7 +15,7 @@ CENTRE, RADIUS = torch.tensor([0.1, -0.05, 0.0]), 0.4
 
 
 @pytest.fixture(scope="session")
-def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tiny_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("viewing")
     scene = write_scene(folder / "scene", width=12, height=8)
     own = ("scene=nerfstudio", f"scene.path={scene}", f"store={folder / 'runs'}", "train.steps=3")
@@ -24,12 +23,12 @@ def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def trained(tiny_run: Path) -> Trained:
+def trained(tiny_run):
     return load(tiny_run)
 
 
 @pytest.fixture
-def ball(trained, monkeypatch) -> Renderer:
+def ball(trained, monkeypatch):
     """The tiny run's renderer with a field that is a coloured ball, dense inside."""
     field = trained.model.field
 

@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from qnerf.cli import main
 from qnerf.viewing import ply, points
@@ -31,9 +32,8 @@ def test_normals_of_points_on_a_ball_are_its_radii():
     assert (cloud.normals * cloud.points).sum(1).min() > 0.95
 
 
-def read(content: bytes):
+def read(content):
     """A PLY file as trimesh reads it."""
-    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     return trimesh.load(io.BytesIO(content), file_type="ply", process=False)
 
 
@@ -48,7 +48,7 @@ def test_a_ply_file_is_what_others_read():
     np.testing.assert_array_equal(np.stack([data[name] for name in ("nx", "ny", "nz")], axis=1), normals)
 
 
-def test_the_command_writes_points_in_the_coordinates_of_transforms_json(tiny_run, trained, tmp_path, capsys):
+def test_export_writes_points_in_the_coordinates_of_transforms_json(tiny_run, trained, tmp_path, capsys):
     out = tmp_path / "out"
     assert main.dispatch("export", [str(tiny_run), "--within", "900", "--out", str(out)]) == 0
     assert "step 3, " in capsys.readouterr().out

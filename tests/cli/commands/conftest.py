@@ -1,16 +1,11 @@
 """A store with a run of every kind, and the commands called as the command line calls them."""
 
-import json
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
 from qnerf.cli import main
-from qnerf.records import Run, RunStore
-from tests.cli.conftest import Done as CommandDone
+from qnerf.records import RunStore
+from tests.cli.conftest import Done
 
 ENVIRONMENT = {
     "git": {"commit": "c0ffee", "branch": "main", "dirty": False},
@@ -24,7 +19,7 @@ ENVIRONMENT = {
 }
 
 
-def config(seed: int = 0, lr: float = 0.01) -> dict[str, Any]:
+def config(seed=0, lr=0.01):
     return {
         "seed": seed,
         "threads": 1,
@@ -33,7 +28,7 @@ def config(seed: int = 0, lr: float = 0.01) -> dict[str, Any]:
     }
 
 
-def write(run: Run, steps: int = 40, psnr: float = 20.0) -> None:
+def write(run, steps=40, psnr=20.0):
     """Rows every tenth step; at the end an evaluation, an environment and a picture."""
     for step in range(10, steps + 1, 10):
         run.log(step, step / 10, {"train/loss": 1 / step, "train/psnr": 10 + step / 4})
@@ -43,16 +38,13 @@ def write(run: Run, steps: int = 40, psnr: float = 20.0) -> None:
     run.save_image("view0", np.zeros((2, 3, 3), np.uint8))
 
 
-Make = Callable[..., Path]
-
-
 @pytest.fixture
-def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+def make(tmp_path, monkeypatch):
     """`make("a-s0-1", end="finish", psnr=20.0, field="qcolor", seed=1)`: a run's folder."""
     monkeypatch.setattr("os.fsync", lambda _: None)  # no test here cuts the power
     store = RunStore(tmp_path / "runs", every=60)
 
-    def made(name: str, end: str = "finish", psnr: float = 20.0, field: str = "qcolor", **options: Any) -> Path:
+    def made(name, end="finish", psnr=20.0, field="qcolor", **options):
         columns = {
             "field": field,
             "encoder": "hash",
@@ -60,7 +52,6 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
             "scene": "poster",
         }
         claim = store.claim(name, config(**options), ["seed=0", f"field={field}"], columns=columns)
-        assert claim.run is not None
         write(claim.run, 40 if end == "finish" else 20, psnr)
         if end == "finish":
             claim.run.finish({"psnr": psnr, "ssim": 0.5, "train_s": 100.0, "step_ms": 25.0, "steps": 40})
@@ -74,7 +65,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
 
 
 @pytest.fixture
-def store(make: Make, tmp_path: Path) -> Path:
+def store(make, tmp_path):
     make("poster-qcolor-s0-aaaaaaaaaa", psnr=21.5)
     make("poster-classical-s0-bbbbbbbbbb", psnr=23.25, field="classical", lr=0.02)
     make("poster-qcolor-s1-cccccccccc", "fail", seed=1)
@@ -85,12 +76,11 @@ def store(make: Make, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def running(tmp_path: Path) -> Iterator[Run]:
+def running(tmp_path):
     """A run that this process is writing."""
     claim = RunStore(tmp_path / "runs", every=60).claim(
         "live-qcolor-s0-ffffffffff", config(), columns={"field": "qcolor"}
     )
-    assert claim.run is not None
     claim.run.log(10, 1.0, {"train/loss": 0.5, "train/psnr": 12.0})
     claim.run.log(20, 2.0, {"train/loss": 0.25, "train/psnr": 15.0})
     claim.run.flush()
@@ -99,20 +89,11 @@ def running(tmp_path: Path) -> Iterator[Run]:
         yield run
 
 
-class Done(CommandDone):
-    @property
-    def json(self) -> Any:
-        return json.loads(self.out)
-
-
-Call = Callable[..., Done]
-
-
 @pytest.fixture
-def qnerf(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Call:
+def qnerf(capsys, tmp_path):
     """`qnerf("show", "aaaa")`: exit code and output of a command on the store."""
 
-    def call(command: str, *arguments: object) -> Done:
+    def call(command, *arguments):
         capsys.readouterr()
         try:
             code = main.dispatch(command, [*map(str, arguments), "--store", str(tmp_path / "runs")])
@@ -125,10 +106,10 @@ def qnerf(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Call:
 
 
 @pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+def terminal(monkeypatch):
     """`terminal(80)`: what follows is printed as on a terminal of that width, without colours."""
 
-    def be(width: int, height: int = 40) -> None:
+    def be(width, height=40):
         for name, value in {"COLUMNS": width, "LINES": height, "FORCE_COLOR": 1, "TERM": "xterm"}.items():
             monkeypatch.setenv(name, str(value))
         monkeypatch.setattr("rich.console.Console._detect_color_system", lambda self: None)

@@ -1,7 +1,6 @@
 """Names, tags, notes, errors and configurations that somebody else wrote: shown as they are, never obeyed."""
 
 import json
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -20,7 +19,7 @@ HOSTILE = (
 )
 
 
-def harmless(text: str) -> bool:
+def harmless(text):
     return all(c.isprintable() or c == "\n" for c in text)
 
 
@@ -38,10 +37,7 @@ def test_printable_text_is_printable_on_one_line_and_short(text, limit):
 
 @given(cells=st.lists(st.text(), min_size=1, max_size=5))
 def test_a_piped_table_has_one_line_a_row_and_one_word_a_cell(cells):
-    columns = [
-        Column("id", lambda row: row["text"]),
-        Column("n", lambda row: str(len(row["text"])), right=True),
-    ]
+    columns = [Column("id", lambda row: row["text"]), Column("n", lambda row: str(len(row["text"])), right=True)]
     lines = list(plain_lines(columns, [{"text": text} for text in cells]))
     assert len(lines) == len(cells) + 1
     assert all(line.isprintable() and len(line.split()) == 2 for line in lines)
@@ -53,13 +49,13 @@ def test_json_is_ascii_and_strict(value):
     assert harmless(text)
     assert text.isascii()
 
-    def refuse(constant: str) -> None:
+    def refuse(constant):
         raise AssertionError(constant)
 
     json.loads(text, parse_constant=refuse)
 
 
-def poison(run: Path) -> None:
+def poison(run):
     """The text in every place of a run's folder that a command shows."""
     text = HOSTILE
     (run / "annotations.json").write_text(json.dumps({"tags": [text, "fine"], "note": f"{text}\n{text}"}))

@@ -1,10 +1,7 @@
 """`qnerf reproduce`: runs it again and compares the numbers and the environments."""
 
 import json
-from collections.abc import Callable
 from importlib.metadata import version
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,33 +18,33 @@ STEPS = ("train.steps=4", "train.eval_every=2")
 
 
 @pytest.fixture(autouse=True)
-def _no_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_checkout(monkeypatch):
     """The recorded environment does not depend on edits of this checkout during the tests."""
     monkeypatch.setattr("qnerf.records.environment.checkout", lambda: None)
 
 
 @pytest.fixture
-def run(tiny: Callable[..., dict[str, Any]]) -> Path:
+def run(tiny):
     return experiment.run(tiny(*STEPS, "field=qcolor")).path
 
 
 @pytest.fixture
-def reproduce(qnerf) -> Callable[..., tuple[int, str]]:
+def reproduce(qnerf):
     """`reproduce(run, "--tolerance", 1e-3)`: exit code and output."""
 
-    def call(run: Path, *arguments: object) -> tuple[int, str]:
+    def call(run, *arguments):
         done = qnerf("reproduce", run.name, *arguments)
         return done.code, done.out + done.err
 
     return call
 
 
-def change_metrics(run: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+def change_metrics(run, change):
     part = run / "metrics" / "part-00000.parquet"
     change(pd.read_parquet(part)).to_parquet(part, index=False)
 
 
-def scaled(rows: pd.DataFrame, key: str, step: int, factor: float) -> pd.DataFrame:
+def scaled(rows, key, step, factor):
     return rows.assign(value=rows["value"].where((rows["key"] != key) | (rows["step"] < step), rows["value"] * factor))
 
 

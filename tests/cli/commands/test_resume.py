@@ -1,9 +1,6 @@
 """`qnerf resume`: goes on with what was interrupted, from what is stored, and refuses what would be another run."""
 
 import shutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,15 +9,13 @@ from qnerf.cli import main
 from qnerf.records import read_metrics, read_status, state, store
 from tests.helpers.stopping import interrupted
 
-Config = dict[str, Any]
-
 
 @pytest.fixture
-def config(tiny: Callable[..., Config]) -> Config:
+def config(tiny):
     return tiny("train.steps=6", "train.checkpoint_every=0", "threads=1")
 
 
-def edit(run: Path, change: Callable[[Config], object]) -> Config:
+def edit(run, change):
     """What another version, or a user, made of config.yaml."""
     config = records.read_config(run)
     change(config)
@@ -29,17 +24,17 @@ def edit(run: Path, change: Callable[[Config], object]) -> Config:
 
 
 @pytest.fixture
-def resume(qnerf) -> Callable[..., tuple[int, str]]:
+def resume(qnerf):
     """`resume(run, "threads=2")`: exit code and what was said."""
 
-    def call(run: Path, *overrides: str) -> tuple[int, str]:
+    def call(run, *overrides):
         done = qnerf("resume", run.name, *overrides)
         return done.code, done.out + done.err
 
     return call
 
 
-def losses(run: Path) -> list[float]:
+def losses(run):
     return read_metrics(run).query("key == 'train/loss'")["value"].tolist()
 
 
@@ -55,7 +50,7 @@ def test_resume_goes_on_with_a_failed_run(config, tmp_path, resume):
     assert run.name == whole.run_id
 
 
-def test_from_any_folder_and_although_it_was_started_with_force(config, tmp_path, monkeypatch, resume):
+def test_resume_works_from_any_folder_and_after_a_start_with_force(config, tmp_path, monkeypatch, resume):
     """The stored configuration says store=runs and run.force=true: neither counts now."""
     monkeypatch.chdir(tmp_path)
     run = interrupted(config | {"store": "runs", "run": config["run"] | {"force": True}}, 4).resolve()
@@ -96,7 +91,7 @@ def test_how_it_is_executed_may_change_and_what_it_computes_may_not(config, resu
 def test_another_scene_or_configuration_is_another_run(config, tiny_scene, resume):
     run = interrupted(config, 4)
     stored = (run / "config.yaml").read_text()
-    changes: dict[str, Callable[[Config], object]] = {
+    changes = {
         "config.yaml is not the configuration that the run was started with": lambda c: c["train"].update(lr=0.5),
         "train: unknown option older=2": lambda c: c["train"].update(older=2),
         "it was written by another version of qnerf": lambda c: c["train"].update(older=2),

@@ -1,7 +1,7 @@
 import errno
 import os
 from argparse import Namespace
-from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,29 +10,21 @@ from qnerf.records import StoreError, owner, runs
 from qnerf.records.deletion import delete_run
 
 
-class Terminal:
+def somebody(answer):
     """Standard input with somebody at it who answers."""
-
-    def __init__(self, answer: str) -> None:
-        self.answer = answer
-
-    def isatty(self) -> bool:
-        return True
-
-    def readline(self) -> str:
-        return self.answer
+    return SimpleNamespace(isatty=lambda: True, readline=lambda: answer)
 
 
-def names(store: Path) -> list[str]:
+def names(store):
     return [path.name[-4:] for path in runs(store)]
 
 
-def whole(store: Path, *ends: str) -> list[str]:
+def whole(store, *ends):
     """The ids of the runs that end so."""
     return [path.name for end in ends for path in runs(store) if path.name.endswith(end)]
 
 
-def test_yes_deletes_what_is_named(store, qnerf):
+def test_rm_with_yes_deletes_what_is_named(store, qnerf):
     done = qnerf("rm", *whole(store, "aaaa", "cccc"), "--yes")
     assert done.code == 0
     assert "finished" in done.out
@@ -43,12 +35,12 @@ def test_yes_deletes_what_is_named(store, qnerf):
 
 def test_rm_asks_and_does_what_is_answered(store, qnerf, monkeypatch):
     for answer in ("n\n", ""):  # "" is Ctrl-D
-        monkeypatch.setattr("sys.stdin", Terminal(answer))
+        monkeypatch.setattr("sys.stdin", somebody(answer))
         done = qnerf("rm", "aaaa")
         assert (done.code, "nothing deleted" in done.out) == (1, True)
         assert "delete this run for good? [y/N]" in done.out
         assert len(names(store)) == 5
-    monkeypatch.setattr("sys.stdin", Terminal("y\n"))
+    monkeypatch.setattr("sys.stdin", somebody("y\n"))
     assert qnerf("rm", "aaaa", "bbbb").code == 0
     assert len(names(store)) == 3
 
@@ -114,7 +106,7 @@ def test_the_next_one_finishes_what_a_killed_one_began(make):
 def test_a_full_disk_does_not_keep_runs_from_being_deleted(make, monkeypatch):
     run = make("a")
 
-    def full(*_: object) -> None:
+    def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(owner, "create", full)

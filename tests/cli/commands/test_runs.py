@@ -1,6 +1,4 @@
 import math
-import subprocess
-import sys
 
 import pytest
 from rich.cells import cell_len
@@ -9,12 +7,12 @@ from qnerf.cli.table import Column, fitting
 from qnerf.cli.text import age, count, duration
 
 
-def ids(done) -> list[str]:
+def ids(done):
     """Last letters of the ids, in the order of the table."""
     return [line.split()[0][-1] for line in done.out.splitlines()[1:]]
 
 
-def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
+def test_runs_is_plain_text_with_full_ids_in_a_pipe(store, qnerf):
     qnerf("tag", "aaaa", "good", "base")
     titles, *lines = (line.split() for line in qnerf("runs", "--sort", "psnr").out.splitlines())
     assert titles == [
@@ -36,7 +34,7 @@ def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
     assert rows["poster-qboth-s0-eeeeeeeeee"]["state"] == "damaged"
 
 
-def test_filters_order_and_limit(store, qnerf):
+def test_runs_takes_filters_an_order_and_a_limit(store, qnerf):
     qnerf("tag", "aaaa", "good")
     for line, found in {
         "psnr=none state!=damaged": "dc",
@@ -48,7 +46,7 @@ def test_filters_order_and_limit(store, qnerf):
         assert "".join(ids(qnerf("runs", *line.split()))) == found, line
 
 
-def test_json_has_numbers_in_full_and_null_for_none(store, qnerf):
+def test_runs_as_json_has_numbers_in_full_and_null_for_none(store, qnerf):
     found = {row["run_id"][-1]: row for row in qnerf("runs", "--json", "--columns", "train.lr").json}
     assert (found["a"]["psnr"], found["a"]["train.lr"], found["a"]["tags"]) == (21.5, 0.01, [])
     assert found["c"]["psnr"] is None
@@ -56,18 +54,18 @@ def test_json_has_numbers_in_full_and_null_for_none(store, qnerf):
     assert len(qnerf("runs", "--json", "--all-columns").json[0]) > len(found["a"])
 
 
-def test_ids_alone(store, qnerf):
+def test_runs_prints_ids_alone(store, qnerf):
     assert qnerf("runs", "--ids", "field=classical").out == "poster-classical-s0-bbbbbbbbbb\n"
 
 
-def test_further_columns(store, qnerf):
+def test_runs_shows_further_columns(store, qnerf):
     line = qnerf("runs", "--columns", "seed,train.lr,note", "aaaa").out.splitlines()
     assert line[0].split()[-3:] == ["seed", "train.lr", "note"]
     assert line[1].split()[-3:] == ["0", "0.01", "-"]
     assert "scene.name" in qnerf("runs", "--all-columns").out.splitlines()[0].split()
 
 
-def test_a_mistake_is_one_line(store, qnerf):
+def test_runs_refuses_mistakes_in_one_line(store, qnerf):
     for line, message in {
         "layers>1": "no run has a column 'layers'; did you mean ",
         "--sort quality": "no run has a column 'quality'",
@@ -92,7 +90,7 @@ def test_runs_of_an_empty_store_and_of_no_match(store, qnerf, tmp_path):
 
 
 @pytest.mark.parametrize("width", [65, 100, 200])
-def test_on_a_terminal_no_line_is_wider_and_ids_are_whole(store, qnerf, terminal, width):
+def test_runs_on_a_terminal_has_no_wider_line_and_whole_ids(store, qnerf, terminal, width):
     terminal(width)
     *lines, last = qnerf("runs").out.splitlines()
     assert max(map(cell_len, lines)) <= width
@@ -102,7 +100,7 @@ def test_on_a_terminal_no_line_is_wider_and_ids_are_whole(store, qnerf, terminal
     assert last.startswith("5 runs: 2 finished, ")
 
 
-def test_a_terminal_gets_what_its_screen_holds(make, qnerf, terminal):
+def test_runs_gives_a_terminal_what_its_screen_holds(make, qnerf, terminal):
     for number in range(12):
         make(f"run-{number:010d}", "interrupt")
     terminal(100, height=12)
@@ -116,13 +114,6 @@ def test_a_run_that_is_running(running, qnerf):
     titles, line = (line.split() for line in qnerf("runs", "state=running").out.splitlines())
     assert dict(zip(titles, line, strict=True))["steps"] == "20/40"
     assert "PSNR" not in titles  # a column that no run fills
-
-
-def test_commands_that_read_import_neither_torch_nor_hydra():
-    modules = ", ".join(f"qnerf.cli.commands.{name}" for name in ["runs", "show", "diff", "tag", "rm", "export"])
-    code = f"import sys, qnerf.cli.main, {modules}; print({{'torch', 'hydra', 'numba'}} & {{*sys.modules}})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
 
 
 def test_columns_that_do_not_fit_go_by_rank():
@@ -143,5 +134,5 @@ def test_durations_and_ages_as_text(monkeypatch):
     assert age(None) == age(math.nan) == "-"
 
 
-def test_counts():
+def test_counts_as_text():
     assert (count(1234567), count(None), count(3.0)) == ("1,234,567", "-", "3")

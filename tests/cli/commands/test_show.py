@@ -19,7 +19,7 @@ def test_show_tells_everything_about_a_run(store, qnerf):
     assert "lr: " not in done.out
 
 
-def test_the_configuration_is_shown_as_yaml(store, qnerf):
+def test_show_prints_the_configuration_as_yaml(store, qnerf):
     out = qnerf("show", "bbbb", "--config").out
     for line in ("seed: 0", "  lr: 0.02", "  path: null"):
         assert line in out.splitlines()
@@ -35,7 +35,7 @@ def test_a_running_run_says_where(running, qnerf):
     assert f", process {json.loads((running.dir / 'status.json').read_text())['pid']}" in qnerf("show", "ffff").out
 
 
-def test_json_has_all_of_it(store, qnerf):
+def test_show_as_json_has_everything(store, qnerf):
     found = qnerf("show", "aaaa", "--json").json
     assert found["state"] == "finished"
     assert found["results"]["psnr"] == 21.5

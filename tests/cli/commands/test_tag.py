@@ -1,7 +1,6 @@
 """Tags, and the file that they are in."""
 
 import multiprocessing
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -35,7 +34,7 @@ def test_a_run_takes_so_many_tags_and_no_more(make):
         annotations.change_tags(run, ["more"])
 
 
-def _tag(run: Path, number: int) -> None:
+def _tag(run, number):
     for i in range(10):
         annotations.change_tags(run, [f"p{number}-{i}"])
 
