@@ -51,10 +51,7 @@ TABLES = {
 """Table of a run, such as eval.parquet -> the columns that its readers need, and the kind of their values."""
 
 
-PROBES = (
-    "eval_hardware", "spectrum", "units", "cost", "expressibility", "entangling", "fisher",
-    "kernel", "surrogate",
-)  # fmt: skip
+PROBES = ("eval_hardware", "units", "cost", "expressibility", "entangling", "fisher", "kernel", "surrogate")
 """Tables that `qnerf probe` leaves in a run's folder."""
 
 
