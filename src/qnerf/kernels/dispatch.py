@@ -17,7 +17,7 @@ from torch.autograd import forward_ad
 
 FLOATS = (torch.float32, torch.float64)
 
-_GRID = "levels min_resolution max_resolution log2_table_size features dense frequency_window"
+_GRID = "levels min_resolution max_resolution log2_table_size features dense"
 
 _SPACE = {
     "qnerf.geometry.contraction.CubeContraction": frozenset[str](),

@@ -45,7 +45,7 @@ class Trained:
         Raises:
             ValueError: the checkpoint cannot be read or is not of this run. The model stays as it is.
         """
-        path, model, steps = self.folder / "checkpoint.pt", self.model, self.settings.train.steps
+        path, model = self.folder / "checkpoint.pt", self.model
         with reporting(path, "read"):
             try:
                 checkpoint = load_archive(path)
@@ -57,7 +57,6 @@ class Trained:
                 reason = error if isinstance(error, ValueError) else type(error).__name__
                 raise ValueError(f"{path}: expected the checkpoint of this run, got another: {reason}") from error
         model.load_state_dict(checkpoint["model"])
-        model.field.encoder.progress = step / steps
         return replace(self, step=step)
 
     @property

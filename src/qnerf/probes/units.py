@@ -22,7 +22,6 @@ def table(trained: Trained) -> pd.DataFrame:
     for other kinds; std: the standard deviation over the samples, as a root mean square over the units.
     """
     fresh = build_model(trained.settings, trained.scene)
-    fresh.field.encoder.progress = 0.0
     parts = []
     for when, model, step in (("start", fresh, 0), ("end", trained.model, trained.step)):
         parts += [{"when": when, **row} for row in _measured(trained, model, step)]

@@ -94,7 +94,6 @@ class Loop:
     def _set_step(self, step: int) -> None:
         """Everything that is a function of the step, so that a resumed run has it too."""
         self.step = step
-        self.model.encoder.progress = step / self.train.steps
         self.rate = learning_rate(step, self.train)
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate * getattr(self.train.rates, group["name"])
