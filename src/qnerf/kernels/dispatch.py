@@ -36,7 +36,6 @@ _SHADINGS = {
 }
 
 LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
-    "training rays": {},
     "proposals": _SPACE | _NETWORK,
     "sample places": _SPACE,
     "hash grid": {},
@@ -45,7 +44,6 @@ LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
     "drawing edges": {},
     "volume weights": {},
     "shading": _SHADINGS,
-    "spherical harmonics": {},
     "interlevel loss": {},
     "distortion loss": {},
     "circuits": {},
