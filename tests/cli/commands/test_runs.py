@@ -15,11 +15,10 @@ def ids(done) -> list[str]:
 
 
 def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
-    qnerf("tag", "aaaa", "good", "base")
     titles, *lines = (line.split() for line in qnerf("runs", "--sort", "psnr").out.splitlines())
     assert titles == [
         "id", "state", "scene_name", "field", "encoder", "color", "params", "heads", "PSNR", "SSIM", "steps", "time",
-        "age", "tags", "error",
+        "age", "error",
     ]  # fmt: skip
     assert all(len(line) == len(titles) for line in lines)
     rows = {line[0]: dict(zip(titles, line, strict=True)) for line in lines}
@@ -28,7 +27,6 @@ def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
     assert [first[title] for title in titles[1:12]] == [
         "finished", "poster", "qcolor", "hash", "1L2S", "1234", "234", "21.50", "0.500", "40", "1m40s",
     ]  # fmt: skip
-    assert first["tags"] == "base,good"
     assert rows["poster-classical-s0-bbbbbbbbbb"]["color"] == "3x64"
     failed = rows["poster-qcolor-s1-cccccccccc"]
     assert [failed[title] for title in ("state", "PSNR", "steps", "error")] == ["failed", "-", "20/40", "loss_is_NaN"]
@@ -37,10 +35,8 @@ def test_piped_it_is_plain_text_with_full_ids(store, qnerf):
 
 
 def test_filters_order_and_limit(store, qnerf):
-    qnerf("tag", "aaaa", "good")
     for line, found in {
         "psnr=none state!=damaged": "dc",
-        "tag=good": "a",
         "--sort psnr --reverse --limit 2": "ab",
         "--sort id --limit 1": "b",
         "--sort state state!=finished": "ecd",
@@ -50,7 +46,7 @@ def test_filters_order_and_limit(store, qnerf):
 
 def test_json_has_numbers_in_full_and_null_for_none(store, qnerf):
     found = {row["run_id"][-1]: row for row in qnerf("runs", "--json", "--columns", "train.lr").json}
-    assert (found["a"]["psnr"], found["a"]["train.lr"], found["a"]["tags"]) == (21.5, 0.01, [])
+    assert (found["a"]["psnr"], found["a"]["train.lr"]) == (21.5, 0.01)
     assert found["c"]["psnr"] is None
     assert found["e"]["state"] == "damaged"
     assert len(qnerf("runs", "--json", "--all-columns").json[0]) > len(found["a"])
@@ -61,9 +57,9 @@ def test_ids_alone(store, qnerf):
 
 
 def test_further_columns(store, qnerf):
-    line = qnerf("runs", "--columns", "seed,train.lr,note", "aaaa").out.splitlines()
-    assert line[0].split()[-3:] == ["seed", "train.lr", "note"]
-    assert line[1].split()[-3:] == ["0", "0.01", "-"]
+    line = qnerf("runs", "--columns", "seed,train.lr,heartbeat", "aaaa").out.splitlines()
+    assert line[0].split()[-3:] == ["seed", "train.lr", "heartbeat"]
+    assert line[1].split()[-3:-1] == ["0", "0.01"]
     assert "scene.name" in qnerf("runs", "--all-columns").out.splitlines()[0].split()
 
 
@@ -119,7 +115,7 @@ def test_a_run_that_is_running(running, qnerf):
 
 
 def test_commands_that_read_import_neither_torch_nor_hydra():
-    modules = ", ".join(f"qnerf.cli.commands.{name}" for name in ["runs", "show", "diff", "tag", "rm", "export"])
+    modules = ", ".join(f"qnerf.cli.commands.{name}" for name in ["runs", "show", "diff", "rm", "export"])
     code = f"import sys, qnerf.cli.main, {modules}; print({{'torch', 'hydra', 'numba'}} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
