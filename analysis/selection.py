@@ -98,6 +98,11 @@ def validating(runs: pd.DataFrame) -> pd.Series:
     return held_out | runs["seed"].isin(TUNING)
 
 
+def by_scene(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Scene -> its runs."""
+    return dict(list(frame.groupby("scene_name")))
+
+
 def configuration(frame: pd.DataFrame) -> list[str]:
     """Columns of the flat configuration, without the seed: the field, and every option."""
     options = [name for name in map(str, frame.columns) if is_option(name) or name in NAMED]

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 import pytest
-from qnerf.analysis import load
+from qnerf.analysis import figures, load
 from qnerf.analysis.report import content, curves
 from qnerf.analysis.report.pictures import Pictures
 from qnerf.analysis.tables import ablation
@@ -71,6 +71,8 @@ def test_a_new_metric_appears_everywhere(toy_error, tiny, tmp_path):
     assert data["metrics"]["toy_error"] == {"heading": "mean absolute error", "digits": 4}
     assert logged[0]["eval/toy_error"]["value"][-1] == pytest.approx(value, rel=1e-4)
     assert data["curve_names"]["eval/toy_error"] == "evaluation mean absolute error"
+    figure = figures.speed_vs_error(frame, metric="toy_error")
+    assert figure.axes[0].get_ylabel() == "mean absolute error"
 
 
 def test_every_image_metric_has_its_computation():

@@ -26,20 +26,28 @@ def draw(frame: pd.DataFrame, names: Sequence[str], out: Path, formats: Sequence
     """Writes the named figures, or all of them if `names` is empty, into the folder `out`; options as `Entry.draw`.
 
     Prints the files that it wrote, and a line for each figure that cannot be drawn. ValueError for an unknown format,
-    or where a figure that was named cannot be drawn.
+    or where a figure that was named cannot be drawn for any scene.
     """
     make_folder(out)
-    errors: dict[str, str] = {}
+    failed = []
+    left: dict[str, str] = {}
     for name in names or FIGURES:
-        figure = None
-        with collecting(errors, name):
-            figure = FIGURES[name].draw(frame, **options)
-        if figure is not None:
-            print(*save(figure, out / name, formats))
-    if names and errors:
-        raise ValueError("; ".join(errors.values()))
-    for reason, files in by_reason(errors).items():
-        print(f"not drawn: {files}: {printable(reason)}")
+        errors: dict[str, str] = {}
+        scenes = FIGURES[name].scenes(name, frame)
+        for file, runs in scenes.items():
+            figure = None
+            with collecting(errors, file):
+                figure = FIGURES[name].draw(runs, **options)
+            if figure is not None:
+                print(*save(figure, out / file_name(file), formats))
+        if name in names and len(errors) == len(scenes):
+            failed.append(next(iter(errors.values())))
+        else:
+            left |= errors
+    for reason, files in by_reason(left).items():
+        print(f"not drawn: {printable(files)}: {printable(reason)}")
+    if failed:
+        raise ValueError("; ".join(failed))
 
 
 @contextlib.contextmanager
@@ -63,6 +71,12 @@ def by_reason(errors: Mapping[str, str]) -> dict[str, str]:
     return {reason: ", ".join(names) for reason, names in found.items()}
 
 
+def file_name(name: str) -> str:
+    """The name without characters that lead to another folder or that no file can have; a scene may have any name."""
+    return "".join(c if c.isprintable() and c not in "/\\" else "_" for c in name)[:200]
+
+
 def title(file: str) -> str:
     """The title of a figure from the name of a file that `draw` wrote, without its suffix; else that name in words."""
-    return FIGURES[file].title if file in FIGURES else file.replace("_", " ")
+    name = file if file in FIGURES else file.partition("_")[0]  # a figure of one scene is in <name>_<scene>
+    return FIGURES[name].title if name in FIGURES else file.replace("_", " ")

@@ -5,10 +5,11 @@ from matplotlib.figure import Figure
 
 from qnerf.metrics import metric_of
 
-from .. import packed, style
+from .. import style
 from ..selection import select
 from ..tables.resources import HARDWARE, means
 from . import points
+from .probed import having, probed
 
 
 def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:
@@ -17,16 +18,10 @@ def hardware_points(frame: pd.DataFrame) -> pd.DataFrame:
     Columns shots, noise and p as of `means`, psnr (dB, mean over views, then over seeds), psnr_std (over seeds; NaN for
     one), n (seeds measured under this condition), scene_name, name, field, seeds (measured under any condition).
     """
-    runs = select(frame).runs
-    tables, damaged = packed.probe_tables(runs["path"], HARDWARE)
-    if not tables:
-        raise ValueError(
-            damaged or f"no run of {len(runs)} has {HARDWARE}.parquet; `qnerf probe RUN shots=100` writes it"
-        )
-    runs = runs[runs["path"].isin(list(tables))]
+    runs = having(select(frame).runs, HARDWARE)
     parts = []
     for _, row in points.points(runs, ["psnr"]).iterrows():
-        measured = pd.concat([means(tables[runs["path"][index]]) for index in row["runs"]])
+        measured = pd.concat([means(probed(runs["path"][index], HARDWARE)) for index in row["runs"]])
         groups = measured.groupby(["shots", "noise", "p"])["psnr"]
         table = pd.DataFrame({"psnr": groups.mean(), "psnr_std": groups.std(), "n": groups.size()}).reset_index()
         parts.append(table.assign(**row[["scene_name", "name", "field"]], seeds=row["n"]))

@@ -89,7 +89,7 @@ def page_content(frame: pd.DataFrame, options: argparse.Namespace, say: Callable
         "version": qnerf.__version__,
         "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "verdicts": verdicts(frame, **judged),
-        "forest": draw(["forest"], frame, **judged)[0],
+        "forest": draw("forest", frame, **judged)[0],
         "sections": [
             section
             for section in (SECTIONS[0], *named[:1], *SECTIONS[1:], *named[1:])

@@ -1,7 +1,6 @@
 """Matplotlib's figures as data URIs; one that cannot be drawn is a line that says why."""
 
 import base64
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,13 +25,18 @@ class Drawn:
     kind: str
 
 
-def draw(names: Iterable[str], frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], dict[str, str]]:
-    """These figures of `FIGURES`, and title -> why one cannot be drawn."""
+def draw(name: str, frame: pd.DataFrame, **judged: Any) -> tuple[list[Drawn], dict[str, str]]:
+    """The figure of `FIGURES`, one a scene where it speaks of one scene, and title -> why it cannot be drawn."""
+    entry, title = FIGURES[name], FIGURES[name].title
     drawn: list[Drawn] = []
     absent: dict[str, str] = {}
-    for entry in map(FIGURES.__getitem__, names):
-        with collecting(absent, entry.title):
-            drawn.append(embedded(entry.title, entry.draw(frame, **judged)))
+    scenes = entry.scenes(name, frame)
+    for runs in scenes.values():
+        own = f"{title}: {runs['scene_name'].iloc[0]}" if len(scenes) > 1 else title
+        with collecting(absent, own):
+            drawn.append(embedded(own, entry.draw(runs, **judged)))
+    if absent and not drawn:
+        absent = {title: next(iter(absent.values()))}
     return drawn, absent
 
 

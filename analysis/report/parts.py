@@ -33,8 +33,11 @@ def parts(frame: pd.DataFrame, **judged: Any) -> list[Part]:
     configurations.tables = [attempt("Mean ± standard deviation over seeds", lambda: over_seeds(frame, **judged))]
     if (decided := decisions(Path(str(frame["path"].iloc[0])).parent)) is not None:
         configurations.tables.append(decided)
-    names = [name for name, entry in FIGURES.items() if name not in SHOWN_ABOVE and entry.suits(frame)]
-    drawn, absent = draw(names, frame, **judged)
-    reasons = [f"{titles}: {reason}" for reason, titles in by_reason(absent).items()]
-    more = Part("more", "Figures", "Figures", figures=drawn, absent=reasons)
+    more = Part("more", "Figures", "Figures")
+    absent: dict[str, str] = {}
+    for name in [name for name, entry in FIGURES.items() if name not in SHOWN_ABOVE and entry.suits(frame)]:
+        drawn, reasons = draw(name, frame, **judged)
+        more.figures += drawn
+        absent |= reasons
+    more.absent = [f"{titles}: {reason}" for reason, titles in by_reason(absent).items()]
     return [configurations, more] if more.figures or more.absent else [configurations]

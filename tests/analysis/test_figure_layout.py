@@ -20,6 +20,7 @@ PACKS = {
     "capacity": "seeds",
     "capacity_color": "small_heads",
     "capacity_density": "pe_widths",
+    "speed": "rgb_table",
     "shots": "shots",
     "noise": "noise",
 }

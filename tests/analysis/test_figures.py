@@ -3,6 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 from matplotlib.collections import PathCollection
 from qnerf.analysis import figures, style
 from qnerf.analysis.figures import curves, points
@@ -178,9 +181,39 @@ def test_configurations_beyond_the_best_are_told(frame):
     assert "not drawn: 3 configurations of worse PSNR" in footnote(figure)
 
 
-def test_times_of_two_machines_are_not_ranked(frame):
+def test_the_pareto_front_is_drawn_and_named(frame):
+    figure = figures.speed_vs_error(frame, "train_s")
+    ax = figure.axes[0]
+    table = figures.speed_points(frame, "train_s")
+    on = table[table["front"]].sort_values("train_s")
+    (step,) = [line for line in ax.lines if line.get_drawstyle() == "steps-post"]
+    np.testing.assert_allclose(step.get_xydata(), on[["train_s", "psnr"]])
+    assert step.get_ydata()[-1] == table["psnr"].max()
+    assert step.get_xdata()[0] == table["train_s"].min()
+    named = {text.get_text(): text.xy for text in ax.texts}
+    front = {tuple(place) for place in on[["train_s", "psnr"]].to_numpy()}
+    assert set(named.values()) == front or "marks without room for a name" in footnote(figure)
+    assert set(named.values()) <= front
+    with pytest.raises(ValueError, match="unknown cost 'hours'; known: step_ms, step_cpu_ms, train_s, "):
+        figures.speed_vs_error(frame, "hours")
+
+
+def test_times_of_two_machines_have_no_front(frame):
     frame.loc[0, "machine"] = "another"
+    figure = figures.speed_vs_error(frame)
+    assert not figures.speed_points(frame)["front"].any()
+    assert not [text for ax in figure.axes for text in ax.texts]
+    assert "time of a step is not ranked: measured on 2 machines" in footnote(figure)
     assert "training time is not ranked" in footnote(figures.psnr_vs_time(lengths(frame)))
+
+
+@given(arrays.arrays(float, st.tuples(st.integers(1, 12), st.just(2)), elements=st.integers(0, 5).map(float)))
+def test_the_front_holds_exactly_what_nothing_beats(values):
+    table = pd.DataFrame(values, columns=["cost", "loss"])
+    on = figures.front(table["cost"], table["loss"])
+    for index, row in table.iterrows():
+        beaten = ((table <= row).all(axis=1) & (table < row).any(axis=1)).any()
+        assert on[index] == (not beaten)
 
 
 def test_names_tell_every_configuration_apart(frame):

@@ -11,23 +11,30 @@ from qnerf.analysis.figures.__main__ import main
 from qnerf.analysis.images import panels
 from qnerf.analysis.load import runs
 
-from qnerf.probes import load
+from qnerf.probes import PROBES, load, probe
 from qnerf.probes.shots_and_noise import evaluate_hardware, grid
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory, trained):
-    """A classical and a quantum configuration, two seeds each; the quantum runs were given shots."""
+    """A classical and a quantum configuration, two seeds each; one quantum run is probed, both were given shots."""
     folder = shutil.copytree(trained, tmp_path_factory.mktemp("files") / "runs")
     for path in runs(folder, "field=qcolor state=finished")["path"]:
         evaluate_hardware(load(Path(path)), grid([10, 100], "none", [], 0))
         evaluate_hardware(load(Path(path)), grid([], "depolarizing", [0.01, 0.1], 0))
+    for name in PROBES:
+        probe(load(Path(path)), name)
     return folder
 
 
 @pytest.fixture
 def frame(store):
     return runs(store, "state=finished")
+
+
+@pytest.fixture
+def probed(frame):
+    return figures.best_of(frame, "units")
 
 
 def footnote(figure) -> str:
@@ -50,6 +57,24 @@ def test_the_grid_shows_the_stored_panels_of_median_runs(frame):
     measured = pd.read_parquet(row["picture"].parents[1] / "eval.parquet").set_index("image")["psnr"]
     assert row["psnr"] == pytest.approx(measured[f"images/{row['image'].removeprefix('images-')}.png"])
     assert figure.axes[1].get_xlabel() == f"{row['psnr']:.2f} dB"
+
+
+def test_the_spectrum_shows_each_share_of_variance(probed):
+    table = figures.spectrum_points(probed)
+    assert table["share"].between(-1e-9, 1 + 1e-9).all()
+    np.testing.assert_allclose(table.groupby(["circuit", "output", "wire"])["share"].sum(), 1)
+    figure = figures.fourier_spectrum(probed)
+    rows = table[(table["circuit"] == 0) & (table["frequency"] == 1)]
+    expected = rows.pivot(index="output", columns="wire", values="share").to_numpy()
+    drawn = np.ma.filled(figure.axes[0].images[0].get_array().astype(float), np.nan)
+    shown = expected >= 1e-4
+    np.testing.assert_allclose(drawn[shown], expected[shown])
+    assert np.isnan(drawn[~shown]).all()
+    heights = [patch.get_height() for patch in figure.axes[2].patches]
+    first = table[(table["circuit"] == 0) & (table["frequency"] > 0)]
+    shares = first.groupby("frequency")["share"].sum() / 9
+    np.testing.assert_allclose(heights, [*shares, 1 - shares.sum()])
+    assert footnote(figure).startswith("exact;")
 
 
 @pytest.mark.parametrize(
@@ -85,10 +110,10 @@ def test_conditions_that_one_seed_lacks_are_not_averaged(frame, tmp_path):
 
 def test_figures_say_how_to_make_what_is_missing(frame):
     classical = frame[frame["field"] == "classical"]
-    with pytest.raises(
-        ValueError, match=r"no run of 2 has eval_hardware.parquet; `qnerf probe RUN shots=100` writes it"
-    ):
-        figures.psnr_vs_shots(classical)
+    with pytest.raises(ValueError, match=r"no run of 2 has units.parquet; `qnerf probe RUN units` writes it"):
+        figures.best_of(classical, "units")
+    with pytest.raises(ValueError, match=r"has no spectrum.parquet; `qnerf probe .* spectrum` writes it"):
+        figures.fourier_spectrum(classical["path"].iloc[0])
 
 
 def test_a_figure_asked_for_by_name_is_an_error_where_it_cannot_be_drawn(store, tmp_path):

@@ -35,7 +35,7 @@ def test_every_figure(mixed_store, tmp_path, capsys):
     said = capsys.readouterr()
     drawn = {path.stem for path in tmp_path.glob("*.png")}
     assert "Error" not in said.out
-    assert {"capacity", "loss", "qualitative"} <= {name.split("_")[0] for name in drawn}, said
+    assert {"capacity", "loss", "speed", "qualitative"} <= {name.split("_")[0] for name in drawn}, said
     assert "forest" in drawn
     assert len(figures.capacity_points(load.runs(mixed_store))) == 4
     rungs, part = figures.stand_in_points(load.runs(mixed_store))

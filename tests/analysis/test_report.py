@@ -201,13 +201,13 @@ def test_the_policy_lets_the_pages_own_scripts_run_and_nothing_else(html):
 
 
 def test_a_figure_that_cannot_be_drawn_says_why(frame):
-    drawn, absent = figures.draw(["capacity"], frame)
+    drawn, absent = figures.draw("speed", frame)
     (figure,) = drawn
     assert absent == {}
     assert base64.b64decode(figure.image.partition(",")[2]).startswith(b"<?xml")
-    nothing, reasons = figures.draw(["shots"], frame)
+    nothing, reasons = figures.draw("shots", frame)
     assert nothing == []
-    assert "`qnerf probe RUN shots=100` writes it" in reasons["PSNR against shots"]
+    assert "`qnerf probe RUN shots=100,1000` writes it" in reasons["PSNR against shots"]
 
 
 def test_a_store_without_a_finished_run_has_a_page_that_says_so(tmp_path):

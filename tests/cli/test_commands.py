@@ -103,7 +103,7 @@ def test_probe_names_a_wrong_option(qnerf) -> None:
     for option, message in {
         "shot=3": "unknown option 'shot'; known: shots, noise, p, views, seed",
         "shots=many": "shots[0] expects int, got 'many'",
-        "unit": "unknown probe 'unit'; known: units",
+        "spectra": "unknown probe 'spectra'; known: spectrum",
     }.items():
         done = qnerf("probe", "./a-run", option)
         assert (done.code, message in done.err) == (2, True), done.err

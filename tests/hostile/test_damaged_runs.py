@@ -112,8 +112,8 @@ def test_names_are_drawn_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixtu
     for field in ("classical", "qcolor"):
         write_run(tmp_path / "runs", field)
     frame = load.runs(tmp_path / "runs").assign(scene_name="$\\frac{ \x1b", encoder=["$x_{", "$y^$"])
-    draw(frame, ["capacity"], tmp_path / "out", ["svg"])
-    assert "$\\frac{ \\x1b" in (tmp_path / "out" / "capacity.svg").read_text()
+    draw(frame, ["speed"], tmp_path / "out", ["svg"])
+    assert "$\\frac{ \\x1b" in (tmp_path / "out" / "speed.svg").read_text()
 
 
 def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
@@ -124,6 +124,6 @@ def test_a_figure_that_fails_is_named_and_the_rest_are_drawn(
 
     monkeypatch.setattr("qnerf.analysis.figures.catalogue.Entry.draw", broken)
     draw(load.runs(store), [], tmp_path / "out", ["png"])
-    assert re.search("not drawn: .*capacity.*: KeyError: 'column'", capsys.readouterr().out)
+    assert re.search("not drawn: .*speed.*: KeyError: 'column'", capsys.readouterr().out)
     with pytest.raises(ValueError, match="KeyError: 'column'; KeyError: 'column'"):
-        draw(load.runs(store), ["capacity", "time"], tmp_path / "out", ["png"])
+        draw(load.runs(store), ["speed", "time"], tmp_path / "out", ["png"])

@@ -8,14 +8,20 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from qnerf.cli.commands import probe as probe_command
 from qnerf.cli.main import main
 from qnerf.experiment import run
 from qnerf.heads import HEADS
-from qnerf.probes import PROBES, Trained, cost, diagnostics, load
-from qnerf.quantum import QuantumLayer
+from qnerf.probes import PROBES, Trained, cost, diagnostics, load, probe, spectrum
+from qnerf.quantum import QuantumLayer, lightcone
 from qnerf.quantum.circuit import Amplitudes, Circuit, Gate, Weights, feature, weight
+from qnerf.quantum.cones import find_cones
+from qnerf.quantum.diagnostics import weights_of
+from qnerf.quantum.program import program
+from qnerf.quantum.statevector import PlainCircuit
 from qnerf.records.read import read_probe
 from tests.helpers.trainer import built
 
@@ -41,6 +47,70 @@ def command(monkeypatch, *arguments: str) -> int:
     with pytest.raises(SystemExit) as stop:
         main()
     return int(stop.value.code or 0)
+
+
+def test_spectrum_of_one_uploading_is_that_of_the_light_cone_polynomial():
+    circuit = layer(8, 1)
+    table = spectrum.powers(circuit)
+    assert set(table["method"]) == {"exact"}
+    cones = find_cones(program(circuit.circuit))
+    own = lightcone.LightCones(cones)
+    values = PlainCircuit(circuit.circuit).evaluate(torch.from_numpy(own.grid.points), weights_of(circuit).double())
+    coefficients = own.coefficients(values).numpy()
+    half = np.array([1, 0.5, 0.5])  # mean squares of 1, cos, sin
+    for output, cone in enumerate(cones.cones):
+        square = coefficients[output].reshape(3, 3, 3) ** 2 * np.einsum("a,b,c->abc", half, half, half)
+        for axis, wire in enumerate(cone.features):
+            marginal = square.sum(tuple({0, 1, 2} - {axis}))
+            np.testing.assert_allclose(of(table, output, wire), [marginal[0], marginal[1:].sum()], atol=1e-15)
+        for wire in set(range(8)) - set(cone.features):
+            np.testing.assert_allclose(of(table, output, wire), [square.sum()], atol=1e-15)
+
+
+@settings(max_examples=20)
+@given(st.integers(1, 3), st.integers(1, 3), st.integers(0, 1000), st.sampled_from(["qiren", "cnot", "ry"]))
+def test_spectrum_adds_up_to_the_mean_square(wires, spectral, seed, ansatz):
+    circuit = layer(wires, spectral, seed, ansatz)
+    table = spectrum.powers(circuit)
+    steps = torch.arange(2 * spectral + 1, dtype=torch.float64) * (2 * torch.pi / (2 * spectral + 1))
+    grid = torch.cartesian_prod(*[steps] * wires).reshape(-1, wires)
+    values = circuit(grid).detach().numpy()
+    for (output, _), rows in table.groupby(["output", "wire"]):
+        assert rows["power"].sum() == pytest.approx((values[:, output] ** 2).mean(), abs=1e-13)
+        assert rows["mean"].iloc[0] == pytest.approx(values[:, output].mean(), abs=1e-13)
+        assert rows["variance"].iloc[0] == pytest.approx(values[:, output].var(), abs=1e-13)
+
+
+def test_spectrum_of_scaled_encodings_has_their_frequencies():
+    table = spectrum.powers(layer(2, 2, ansatz="ternary"))
+    assert sorted(table["frequency"].unique()) == [0, 1, 2, 3, 4]  # sums and differences of 1 and 3
+
+
+def test_spectrum_by_sobol_points_is_the_exact_one_within_its_standard_error():
+    circuit = layer(4, 2)
+    exact, estimate = spectrum.powers(circuit), spectrum.powers(circuit, max_values=0)
+    assert set(estimate["method"]) == {"sobol"}
+    assert estimate[["output", "wire", "frequency"]].equals(exact[["output", "wire", "frequency"]])
+    above_rounding = exact["power"] > 1e-12  # below, both are rounding errors
+    deviation = (estimate["power"] - exact["power"])[above_rounding] / estimate["standard_error"][above_rounding]
+    assert deviation.abs().max() < 6
+    assert 0.5 < deviation.std() < 2
+    assert estimate["standard_error"].max() < 1e-2 * exact["power"].max()
+
+
+def test_spectrum_of_a_run_has_each_circuit_of_each_head(quantum_run):
+    trained = load(quantum_run)
+    table = pd.read_parquet(probe(trained, "spectrum"))
+    assert table.groupby(["head", "circuit"]).ngroups == 4
+    second = trained.model.field.color_head.hybrid[1]
+    own = table[(table["head"] == "color") & (table["circuit"] == 1)]
+    columns = ["output", "wire", "frequency", "power"]
+    pd.testing.assert_frame_equal(own[columns].reset_index(drop=True), spectrum.powers(second.circuit)[columns])
+    scale = second.input_scale * second.norm.weight.detach().abs().double()
+    np.testing.assert_allclose(own.groupby("wire")["angle_std"].first(), scale, rtol=1e-6)
+    fourier, hybrid = HEADS.build("qfgn", 3, 2, qubits=2).hybrid
+    assert spectrum.angles(fourier, 2)["angle_std"].isna().all()
+    assert spectrum.angles(hybrid, 2)["angle_std"].notna().all()
 
 
 def test_diagnostics_of_a_run_are_saved_and_shown(quantum_run, monkeypatch, capsys):
@@ -133,10 +203,10 @@ def test_units_of_circuits_are_their_measured_values(quantum_run):
 def test_command_writes_what_is_asked_for(quantum_run, tmp_path, monkeypatch, capsys):
     assert set(probe_command.PROBES) == set(PROBES)
     path = shutil.copytree(
-        quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["units.parquet", "cost.parquet"]
+        quantum_run, tmp_path / quantum_run.name, ignore=lambda *_: ["units.parquet", "spectrum.parquet"]
     )
-    assert command(monkeypatch, str(path), "units", "cost") == 0
-    assert capsys.readouterr().out.split()[:2] == [str(path / "units.parquet"), str(path / "cost.parquet")]
+    assert command(monkeypatch, str(path), "units", "spectrum") == 0
+    assert capsys.readouterr().out.split() == [str(path / "units.parquet"), str(path / "spectrum.parquet")]
     assert not (path / "eval_hardware.parquet").exists()
     assert command(monkeypatch, str(path), "shots=10", "views=1") == 0
     assert (path / "eval_hardware.parquet").exists()
@@ -152,9 +222,9 @@ def test_probe_command_says_mistakes_in_one_line(tiny, tiny_scene, monkeypatch, 
         return error
 
     for arguments, message in (
-        (["unit"], "unknown probe 'unit'; known: units"),
+        (["unit"], "unknown probe 'unit'; known: spectrum, units"),
         (["units", "shot=1"], "unknown option 'shot'; known: shots"),
-        (["kernel"], "neither of its heads has a circuit of qnerf"),
+        (["spectrum"], "neither of its heads has a circuit of qnerf"),
         (["shots=10"], "neither of its heads has a circuit of qnerf"),
         (["views=-1"], "views must be between 0 and 1000000000, got -1"),
         (["shots=10", "seed=1,2"], "seed expects int, got '1,2'"),

@@ -51,7 +51,10 @@ TABLES = {
 """Table of a run, such as eval.parquet -> the columns that its readers need, and the kind of their values."""
 
 
-PROBES = ("eval_hardware", "units", "cost", "expressibility", "entangling", "fisher", "kernel", "surrogate")
+PROBES = (
+    "eval_hardware", "spectrum", "units", "cost", "expressibility", "entangling", "fisher",
+    "kernel", "surrogate",
+)  # fmt: skip
 """Tables that `qnerf probe` leaves in a run's folder."""
 
 

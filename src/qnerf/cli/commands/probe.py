@@ -12,7 +12,7 @@ from qnerf.config.bounds import NonNegativeInt, PositiveInt, Share, check
 from qnerf.records import find
 
 DIAGNOSTICS = ("expressibility", "entangling", "fisher", "kernel", "surrogate")
-PROBES = ("units", "cost", *DIAGNOSTICS)
+PROBES = ("spectrum", "units", "cost", *DIAGNOSTICS)
 DEFAULTS: dict[str, Any] = {"shots": [], "noise": "depolarizing", "p": [], "seed": 0}
 KINDS: dict[str, Any] = {
     "shots": list[PositiveInt],
@@ -28,7 +28,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measures the trained model of a finished run; the results go into the run's folder. With shots=... or "
         "noise=... it renders the held-out views as hardware would: eval_hardware.parquet. Noise is exact where "
-        "density matrices are quick, else the mean over patterns of Pauli errors. PROBE is units "
+        "density matrices are quick, else the mean over patterns of Pauli errors. PROBE is spectrum (Fourier power of "
+        "the circuits), units "
         "(dead units and the spread of each layer's values, before and after training), cost (gates, evaluations and "
         "hours of the circuits on quantum hardware), or a diagnostic of the circuits: expressibility, entangling, "
         "fisher (information, effective dimension), kernel (tangent) or surrogate (a classical one): PROBE.parquet."
