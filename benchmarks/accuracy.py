@@ -1,4 +1,4 @@
-"""Error of each numerical part: `python -m benchmarks.accuracy`.
+"""Error and time of each numerical part: `python -m benchmarks.accuracy`.
 
 Compares every case of `benchmarks.accuracy_cases`, in each of its variants and dtypes, with its float64 reference.
 Saves benchmarks/results/accuracy.parquet, a row per case, variant and dtype, and writes docs/numerics.md, a row per
@@ -7,7 +7,10 @@ part. `--from-saved` writes the page without measuring.
 
 import argparse
 import math
-from collections.abc import Sequence
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
 from inspect import cleandoc
 from pathlib import Path
 from typing import Any
@@ -32,6 +35,8 @@ How far each part is from float64, on ordinary and on hard inputs. `python -m be
 - **bound**: what the error must not exceed in float32 on the CPU. In float64 the bound is 2^-29 times that, but at
   least 1e-13, because the reference rounds as well.
 - **plain**: the error of the plain PyTorch form, where a compiled loop exists. This form runs on CUDA. It has no bound.
+- **faster**: the median, over the cases, of the plain form's time divided by the loop's; one thread, forward and
+  backward.
 
 No part runs in bfloat16. Derivatives of second and higher order, forward-mode derivatives and `torch.func` go through
 the plain form; tests compare them with finite differences (`tests/model/test_derivatives.py`).
@@ -85,12 +90,22 @@ def errors(case: Case, variant: str, dtype: torch.dtype, expected: Sequence[Tens
     return forward, max(gradients, default=math.nan)
 
 
-def measure(case: Case) -> list[dict[str, Any]]:
-    """Errors and bounds of a case: a row per variant and dtype."""
+def milliseconds(step: Callable[[], object], repeats: int) -> float:
+    """Median time of a call, after one warm-up call."""
+    times = []
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        step()
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times[1:])
+
+
+def measure(case: Case, repeats: int) -> list[dict[str, Any]]:
+    """Errors, bounds and time of a case: a row per variant and dtype."""
     expected = exact(case)
     rows = []
     for dtype in case.dtypes:
-        for variant in case.variants:
+        for variant, function in case.variants.items():
             forward, gradient = errors(case, variant, dtype, expected)
             rows.append(
                 {
@@ -105,6 +120,9 @@ def measure(case: Case) -> list[dict[str, Any]]:
                     "bounded": variant in case.bounded,
                     "bound": bound_in(dtype, case.bound),
                     "gradient_bound": math.nan if case.gradient is None else bound_in(dtype, case.gradient),
+                    "ms": milliseconds(partial(results, case, function, dtype), repeats),
+                    "repeats": repeats,
+                    "threads": torch.get_num_threads(),
                 }
             )
     return rows
@@ -124,11 +142,13 @@ def page(frame: pd.DataFrame, groups: Sequence[str]) -> str:
         groups: docstrings of the modules of cases. What follows the first line is a paragraph of the page.
     """
     single = frame[frame["dtype"] == "float32"]
-    lines = ["| part | error | bound | gradient | bound | plain |", "|---|---|---|---|---|---|"]
+    lines = ["| part | error | bound | gradient | bound | plain | faster |", "|---|---|---|---|---|---|---|"]
     for part, rows in single.groupby("part", sort=False):
         own, plain = rows[rows["bounded"]], rows[~rows["bounded"]]
         largest = own[["error", "bound", "gradient_error", "gradient_bound"]].max()
-        cells = [*map(number, largest), number(plain["error"].max())]
+        times = plain.set_index("case")["ms"] / own.groupby("case")["ms"].min()
+        faster = f"{times.median():.1f}" if len(plain) else ""
+        cells = [*map(number, largest), number(plain["error"].max()), faster]
         lines.append(f"| {part} | {' | '.join(cells)} |")
     limits = [rest for text in groups if (rest := cleandoc(text).partition("\n")[2].strip())]
     return "\n\n".join([HEAD.strip(), "\n".join(lines), "## Limits", *limits]) + "\n"
@@ -142,10 +162,13 @@ def number(value: float) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--from-saved", action="store_true", help="use the saved results instead of measuring")
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     groups = modules().values()
     if not options.from_saved:
-        rows = [row for module in groups for case in module.cases() for row in measure(case)]
+        torch.set_num_threads(options.threads)
+        rows = [row for module in groups for case in module.cases() for row in measure(case, options.repeats)]
         pd.DataFrame(rows).to_parquet(RESULTS, index=False)
     frame = pd.read_parquet(RESULTS)
     PAGE.write_text(page(frame, [module.__doc__ or "" for module in groups]))
