@@ -93,7 +93,7 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
         overrides += [f"scene.validation={SHARE}"] * unseen
         own = trained(overrides, TUNING[:1], store, foresee)[question.metric].iloc[0]  # its own options come first
         tried: list[dict[str, Any]] = [
-            {"state": "finished" if np.isfinite(own) else "diverged", "value": own, "overrides": []}
+            {"state": "finished" if np.isfinite(own) else "diverged", "values": [own], "overrides": []}
         ]
         if question.tune > 1:
             tried += searched(record, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)
@@ -101,7 +101,7 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
         if not finished:
             raise ValueError(f"{title(scene, name)}: no trial of the search finished")
         sign = metric_of(question.metric).sign
-        finished.sort(key=lambda trial: -sign * trial["value"])
+        finished.sort(key=lambda trial: -sign * trial["values"][0])
         again = {}
         for trial in finished[:AGAIN]:
             runs = trained([*overrides, *trial["overrides"]], TUNING[1:], store, foresee)
@@ -116,7 +116,7 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
             "chosen": chosen,
             "seconds": float(sum(first) + sum(more)),
             "validation": SHARE if unseen else "other seeds: nothing was held out",
-            "expected": expected([trial["value"] for trial in finished], sign),
+            "expected": expected([trial["values"][0] for trial in finished], sign),
         }
         record.save(store)
         told = ", ".join(chosen) or "its own options"
@@ -135,7 +135,7 @@ def searched(
     started(
         [
             "hydra/sweeper=qnerf_optuna", f"hydra.sweeper.n_trials={question.tune - 1}", "hydra.sweeper.sampler=random",
-            "hydra.sweeper.prune.percentile=0", f"hydra.sweeper.objective={question.metric}",
+            "hydra.sweeper.prune.percentile=0", f"hydra.sweeper.objectives=[{question.metric}]",
             f"hydra.sweep.dir={folder}", *overrides, f"store={store}",
             *(f"{option}={values}" for option, values in space.items()),
         ],

@@ -85,7 +85,7 @@ def test_a_wrong_search_is_one_line(qnerf):
         "seed=1": "a search needs a space",
         "seed=0,1 hydra.sweeper.n_trials=0": "hydra.sweeper.n_trials must be between 1",
         "seed=0,1 hydra.sweeper.prune.percentile=101": "hydra.sweeper.prune.percentile must be between 0 and 100",
-        "seed=0,1 hydra.sweeper.objective=quality": "unknown objective 'quality'; known: psnr",
+        "seed=0,1 hydra.sweeper.objectives=[quality]": "unknown objective 'quality'; known: psnr",
         "seed=0,1 hydra.sweeper.sampler=best": "unknown sampler 'best'; known: tpe, gp, random",
         "color.mlp={layers:2},{layers:3} color.mlp={width:8}": "varies this option, which is given twice; give it once",
         "train.lr=interval(2,1)": "expected two numbers, the smaller one first",

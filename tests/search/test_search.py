@@ -87,8 +87,8 @@ class Bench:
             for seed, name in zip(self.seeds, self.ids(point), strict=True):
                 self.train(point, seed, name)
 
-    def history(self, objective: str = "psnr") -> History:
-        return History(SPACE, objective, self.store.root, self.ids, {"head": "mlp"})
+    def history(self, *objectives: str) -> History:
+        return History(SPACE, objectives or ("psnr",), self.store.root, self.ids, {"head": "mlp"})
 
     def until_done(self, options: Options) -> list[Trial]:
         """Starts the search again after each death."""
@@ -136,52 +136,68 @@ def test_runs_of_a_sweep_count_and_a_finite_space_is_tried_once_and_to_its_end(t
 
     bench.train(("0.01", "2", "qiren"), 0, ids(("2", "qiren"))[0])
     bench.train(("0.02", "1", "qiren"), 0, "0.02-1-qiren-s0")  # another learning rate is another search
-    history = History(space, "psnr", bench.store.root, ids, {"head": "mlp"})
+    history = History(space, ("psnr",), bench.store.root, ids, {"head": "mlp"})
     assert [trial.point for trial in history.trials()] == [("2", "qiren")]
     trials = search(history, Options(trials=100, at_once=2), launch)
     assert Counter(trial.state for trial in trials) == {"finished": 4, "failed": 2}
     errors = {trial.point: trial.error for trial in trials if trial.error}
     assert errors == {("2", "mlp"): "it diverged", ("3", "mlp"): "three layers are too many for an MLP"}
-    assert {trial.point[0] for trial in best("psnr", trials)[:1]} == {"1"}
+    assert {trial.point[0] for trial in best(space, ["psnr"], trials)} == {"1"}
     assert set(bench.trained.values()) == {1}
-    limited = History(space, "psnr", bench.store.root, ids, {"head": "mlp"}, ["params.total<200"])
+    limited = History(space, ("psnr",), bench.store.root, ids, {"head": "mlp"}, ["params.total<200"])
     limited.trials()
     allowed = {trial.point[0]: trial.allowed for trial in limited.trials() if trial.state == "finished"}
     assert allowed == {"1": True, "2": False, "3": False}
     with pytest.raises(ValueError, match="expected such as params"):
-        History(space, "psnr", bench.store.root, ids, {}, ["params.total=200"])
+        History(space, ("psnr",), bench.store.root, ids, {}, ["params.total=200"])
 
 
 def test_what_violates_a_constraint_is_not_the_best_and_what_matters_is_known():
     """The best number of layers is 1, and a constraint forbids it."""
     space: Space = {"layers": SPACE["layers"], "head": SPACE["head"]}
     trials = [
-        Trial((layers, head), "finished", 20.0 - int(layers), violations={"layers>1": 2.0 - int(layers)})
+        Trial((layers, head), "finished", (20.0 - int(layers),), violations={"layers>1": 2.0 - int(layers)})
         for layers in "123"
         for head in ("mlp", "qiren")
         for _ in range(2)
     ]
-    assert {trial.point[0] for trial in best("psnr", trials)[:1]} == {"2"}
-    shares = importances(space, "psnr", trials)
+    assert {trial.point[0] for trial in best(space, ["psnr"], trials)} == {"2"}
+    shares = importances(space, ["psnr"], trials)
     assert next(iter(shares)) == "layers"
     assert shares["layers"] > 0.8
+    assert importances(space, ["psnr", "params.total"], trials) == {}
 
 
 def test_a_search_finds_the_best_with_a_few_trials():
     """20 dB less 0.1 at 1 layer and a learning rate of 0.01; a random point loses 1.1 dB in the mean."""
     trials: list[Trial] = []
     for _ in range(16):
-        (point,) = propose(SPACE, "psnr", trials, 1, Options(16))
-        trials.append(Trial(point, "finished", psnr_of(point), ("run",)))
-    assert best("psnr", trials)[0].value > 19.8
-    assert len(propose(SPACE, "psnr", trials[:6], 1, Options(16, sampler="gp"))) == 1
+        (point,) = propose(SPACE, ["psnr"], trials, 1, Options(16))
+        trials.append(Trial(point, "finished", (psnr_of(point),), ("run",)))
+    assert best(SPACE, ["psnr"], trials)[0].values[0] > 19.8
+    assert len(propose(SPACE, ["psnr"], trials[:6], 1, Options(16, sampler="gp"))) == 1
 
 
 def test_an_objective_without_a_value_ends_the_search_after_the_first_finished_trial(tmp_path):
     bench = Bench(tmp_path / "runs", invalid=False)
     with pytest.raises(NoObjective, match="the run that has finished has no number for lpips"):
-        search(bench.history("lpips"), Options(trials=20), bench.launch)
+        search(bench.history("psnr", "lpips"), Options(trials=20), bench.launch)
     assert sum(bench.trained.values()) == 1
+
+
+def test_several_objectives_give_a_front_without_a_beaten_trial(tmp_path):
+    bench = Bench(tmp_path / "runs")
+    objectives = ("psnr", "params.total")
+    trials = search(bench.history(*objectives), Options(trials=12), bench.launch)
+    finished = [trial for trial in trials if trial.state == "finished"]
+    front = best(SPACE, objectives, trials)
+
+    def beaten(trial: Trial) -> bool:
+        psnr, size = trial.values
+        return any(o.values[0] >= psnr and o.values[1] <= size and o.values != trial.values for o in finished)
+
+    assert front
+    assert {trial.point for trial in front} == {trial.point for trial in finished if not beaten(trial)}
 
 
 def test_a_run_is_given_up_below_the_median_of_finished_runs(tmp_path):
@@ -221,8 +237,8 @@ def test_a_search_finds_its_draws_again_in_the_store(data):
 
 
 def test_a_search_makes_no_trial_of_a_proposal_alone():
-    tried = [Trial(("0.01", layers, head), "finished", 1.0) for layers in "123" for head in ("mlp", "qiren")]
-    points = propose({**SPACE, "train.lr": Interval(0.01, 0.01)}, "psnr", tried, 3, Options(9))
+    tried = [Trial(("0.01", layers, head), "finished", (1.0,)) for layers in "123" for head in ("mlp", "qiren")]
+    points = propose({**SPACE, "train.lr": Interval(0.01, 0.01)}, ["psnr"], tried, 3, Options(9))
     assert points == []
-    fresh = propose(SPACE, "psnr", tried, 30, Options(36))
+    fresh = propose(SPACE, ["psnr"], tried, 30, Options(36))
     assert len(set(fresh)) == 30

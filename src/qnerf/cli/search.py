@@ -42,13 +42,13 @@ FILE = "judge.json"
 """In the folder of a sweep: what its jobs need to know to judge themselves."""
 TRIALS = "trials.json"
 """In the folder of a sweep: what a search has found."""
-SHOWN = 10  # trials in the closing table
+SHOWN = 10  # trials in the closing table of a search with one objective
 UNVALIDATED = (
     "scene.validation: a search looks at validation views, never at test views, and none are held out; "
     "scene.validation=0.1 holds out a tenth of what trains"
 )
 OPTIONS: Mapping[str, Any] = {
-    "objective": str,
+    "objectives": Annotated[list[str], MinLen(1)],
     "constraints": list[str],
     "n_trials": PositiveInt,
     "n_jobs": PositiveInt,
@@ -89,7 +89,7 @@ class OptunaSweeper(Sweeper):
         for name, hint in OPTIONS.items():
             group, _, last = name.rpartition(".")
             bounds.check(f"hydra.sweeper.{name}", (self.options[group] if group else self.options)[last], hint)
-        goals.check(self.options["objective"])
+        goals.check(self.options["objectives"])
         typed = [*(f"{key}={value}" for key, value in self.params.items()), *arguments]
         composer = Composer(self.hydra_context.config_loader, self.config)
         parsed = effective(composer.parser.parse_overrides(typed))
@@ -105,7 +105,7 @@ class OptunaSweeper(Sweeper):
         except NoObjective as error:
             report(ValueError(error))
             sys.exit(FAILED)
-        show(space, self.options["objective"], trials)
+        show(space, self.options["objectives"], trials)
         found = [{"overrides": overrides(space, one.point), **asdict(one)} for one in trials]
         (Path(self.config.hydra.sweep.dir) / TRIALS).write_text(json.dumps(found))
         if trials and not any(trial.state in ("finished", "pruned") for trial in trials):
@@ -117,7 +117,8 @@ class OptunaSweeper(Sweeper):
         sweep.folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(self.config, sweep.folder / "multirun.yaml")
         seeds = [[f"seed={seed}"] for seed in options["seeds"] or ()] or [[]]
-        judged = goals.is_judged(options["objective"])
+        judged = goals.judged(options["objectives"])
+        metric = judged if len(options["objectives"]) == 1 else None
         scenes: dict[str, Any] = {}
 
         def ids(point: Point) -> list[str]:
@@ -133,11 +134,9 @@ class OptunaSweeper(Sweeper):
             return found
 
         def launch(points: Sequence[Point], trials: Sequence[Trial]) -> None:
-            if options["prune"]["percentile"] and judged:
+            if options["prune"]["percentile"] and metric:
                 peers = [name for trial in trials if trial.state == "finished" for name in trial.runs]
-                (sweep.folder / FILE).write_text(
-                    json.dumps({"metric": options["objective"], "peers": peers, **options["prune"]})
-                )
+                (sweep.folder / FILE).write_text(json.dumps({"metric": metric, "peers": peers, **options["prune"]}))
             jobs = [[*fixed, *overrides(space, point), *seed] for point in points for seed in seeds]
             begun = time.monotonic()
             for job in self.launcher.launch(jobs, initial_job_idx=self.jobs):
@@ -150,7 +149,7 @@ class OptunaSweeper(Sweeper):
                     print(line, flush=True)
             self.jobs += len(jobs)
 
-        history = History(space, options["objective"], store, ids, self._defaults(space), options["constraints"])
+        history = History(space, options["objectives"], store, ids, self._defaults(space), options["constraints"])
         plan = Options(options["n_trials"], options["n_jobs"], options["sampler"], options["startup"], options["seed"])
         trials = search(history, plan, launch)
         for point, reason in history.rejected.items():
@@ -189,25 +188,32 @@ def size(space: Space) -> float:
     return math.prod(len(own.texts) if isinstance(own, Choices) else math.inf for own in space.values())
 
 
-def show(space: Space, objective: str, trials: Sequence[Trial]) -> None:
-    """Prints the best trials."""
-    listed = best(objective, trials)[:SHOWN]
-    title = f"best {len(listed)} of {len(trials)} trials"
+def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> None:
+    """Prints the best trials, or the Pareto front of several objectives."""
+    if len(objectives) == 1:
+        finished = [trial for trial in trials if trial.state == "finished" and trial.allowed]
+        upwards = goals.direction(objectives[0]) == "maximize"
+        listed = sorted(finished, key=lambda trial: trial.values[0], reverse=upwards)[:SHOWN]
+        title = f"best {len(listed)} of {len(trials)} trials"
+    else:
+        listed = sorted(best(space, objectives, trials), key=lambda trial: trial.values)
+        title = f"Pareto front: {len(listed)} of {len(trials)} trials"
     states = [trial.state for trial in trials]
     counts = ", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states))
     print(f"\n{title} ({counts})" if trials else "\nno trials")
     columns = [
         Column("trial", lambda row: row["trial"], limit=255),
-        metric_column(metric_of(objective)),
+        *(metric_column(metric_of(name)) for name in objectives),
         Column("runs", lambda row: row["runs"], rank=1, limit=255),
     ]
     rows = [
-        {"trial": " ".join(overrides(space, trial.point)), "runs": ",".join(trial.runs), objective: trial.value}
+        {"trial": " ".join(overrides(space, trial.point)), "runs": ",".join(trial.runs)}
+        | dict(zip(objectives, trial.values, strict=True))
         for trial in listed
     ]
     if rows:
         print_table(console(), columns, rows)
     if violating := sum(not trial.allowed for trial in trials):
         print(f"{violating} finished trials violate a constraint")
-    if shares := importances(space, objective, trials):
+    if shares := importances(space, objectives, trials):
         print("what mattered: " + ", ".join(f"{option} {share:.0%}" for option, share in shares.items()))

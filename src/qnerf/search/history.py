@@ -32,13 +32,13 @@ class History:
     def __init__(
         self,
         space: Space,
-        objective: str,
+        objectives: Sequence[str],
         store: Path,
         ids: Callable[[Point], Sequence[str]],
         defaults: Mapping[str, str],
         constraints: Sequence[str] = (),
     ) -> None:
-        self.space, self.objective, self.store, self.defaults = space, objective, store, dict(defaults)
+        self.space, self.objectives, self.store, self.defaults = space, list(objectives), store, dict(defaults)
         self.limits = goals.limits(constraints)
         self.rejected: dict[Point, str] = {}
         self._ids = ids
@@ -72,7 +72,7 @@ class History:
             "stopped",
             "created",
             "path",
-            *(column for number in self._numbers() for column in goals.columns(number)),
+            *goals.columns([*self.objectives, *(limit.key for limit in self.limits)]),
         ]
         rows: dict[str, Mapping[Any, Any]] = {}
         if self.store.is_dir() and len(frame := index.load(self.store, columns)):
@@ -106,23 +106,20 @@ class History:
             return Trial(point, "failed", runs=names, error=str(runs[states.index("failed")].get("error")))
         pruned = [run for run in runs if run.get("stopped") == PRUNED and run["state"] == "interrupted"]
         if pruned:
-            known = curve(Path(pruned[0]["path"]), self.objective) if goals.is_judged(self.objective) else {}
-            return Trial(point, "pruned", runs=names, curve=known)
+            metric = goals.judged(self.objectives)
+            return Trial(point, "pruned", runs=names, curve=curve(Path(pruned[0]["path"]), metric) if metric else {})
         if set(states) != {"finished"}:
             return Trial(point, "unfinished", runs=names, running="running" in states)
         values: list[float] = []
-        for name in self._numbers():
+        for name in [*self.objectives, *(limit.key for limit in self.limits)]:
             measured = [value for run in runs if (value := goals.value(run, name)) is not None and np.isfinite(value)]
             if len(measured) < len(runs):
                 return Trial(point, "failed", runs=names, error=NO_VALUE.format(name))
             values.append(float(np.mean(measured)))
-        limited = zip(self.limits, values[1:], strict=True)
+        count = len(self.objectives)
+        limited = zip(self.limits, values[count:], strict=True)
         violations = {str(limit): goals.violation(limit, number) for limit, number in limited}
-        return Trial(point, "finished", values[0], names, violations=violations)
-
-    def _numbers(self) -> list[str]:
-        """What a trial is measured by: the objective, then what the constraints are about."""
-        return [self.objective, *(limit.key for limit in self.limits)]
+        return Trial(point, "finished", tuple(values[:count]), names, violations=violations)
 
 
 def curve(run: Path, metric: str) -> dict[int, float]:

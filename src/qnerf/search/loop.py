@@ -11,7 +11,7 @@ POLL = 10.0  # seconds between two looks at runs that another process trains
 
 
 class NoObjective(Exception):
-    """There is nothing to search by: no run has a number for the objective, or no view is held out for validation."""
+    """There is nothing to search by: no run has a number for an objective, or no view is held out for validation."""
 
 
 def search(
@@ -29,7 +29,7 @@ def search(
 
     Raises:
         ValueError: no such sampler.
-        NoObjective: runs have finished, and none of them has a number for the objective.
+        NoObjective: runs have finished, and none of them has a number for one of the objectives.
     """
     if options.sampler not in SAMPLERS:
         raise ValueError(f"unknown sampler {options.sampler!r}; known: {', '.join(SAMPLERS)}")
@@ -37,10 +37,10 @@ def search(
         trials = history.trials()
         if len(history.rejected) >= options.trials:
             return trials
-        require_value(history.objective, trials)
+        require_values(history.objectives, trials)
         begun = [trial.point for trial in trials if trial.state == "unfinished"][: options.at_once]
         room = min(options.at_once - len(begun), options.trials - sum(bool(trial.runs) for trial in trials))
-        fresh = propose(history.space, history.objective, trials, max(room, 0), options, history.result)
+        fresh = propose(history.space, history.objectives, trials, max(room, 0), options, history.result)
         if not begun and not fresh:
             return trials
         batch = [point for point in (*begun, *fresh) if history.ids(point)]
@@ -57,11 +57,13 @@ def search(
             time.sleep(POLL)
 
 
-def require_value(objective: str, trials: Sequence[Trial]) -> None:
-    """NoObjective if runs have finished, and none of them has a number for the objective."""
-    count = sum(trial.error == NO_VALUE.format(objective) for trial in trials)
-    if count and not any(trial.state == "finished" for trial in trials):
-        runs = "the run that has finished has" if count == 1 else f"the {count} runs that have finished have"
-        raise NoObjective(
-            f"hydra.sweeper.objective: {runs} no number for {objective}, so there is nothing to search by"
-        )
+def require_values(objectives: Sequence[str], trials: Sequence[Trial]) -> None:
+    """NoObjective if runs have finished, and none of them has a number for one of the objectives."""
+    if any(trial.state == "finished" for trial in trials):
+        return
+    for name in objectives:
+        if count := sum(trial.error == NO_VALUE.format(name) for trial in trials):
+            runs = "the run that has finished has" if count == 1 else f"the {count} runs that have finished have"
+            raise NoObjective(
+                f"hydra.sweeper.objectives: {runs} no number for {name}, so there is nothing to search by"
+            )

@@ -1,4 +1,4 @@
-"""What a search looks for: a number of a run's summary, with its better direction."""
+"""What a search looks for: numbers of a run's summary, each with its better direction."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -11,10 +11,13 @@ Direction = Literal["maximize", "minimize"]
 KNOWN = tuple(key for key, item in METRICS.items() if item.kind != "loss" and (item.better or item.kind == "size"))
 
 
-def check(objective: str) -> None:
-    """ValueError unless the objective is a number of which it is known which way is better."""
-    if objective not in KNOWN:
-        raise ValueError(f"unknown objective {objective!r}; known: {', '.join(KNOWN)}")
+def check(objectives: Sequence[str]) -> None:
+    """ValueError unless the objectives are numbers of which it is known which way is better."""
+    if not objectives or len(set(objectives)) < len(objectives):
+        raise ValueError(f"objectives must be one or more different metrics, got {list(objectives)}")
+    for name in objectives:
+        if name not in KNOWN:
+            raise ValueError(f"unknown objective {name!r}; known: {', '.join(KNOWN)}")
 
 
 def limits(constraints: Sequence[str]) -> list[filters.Filter]:
@@ -41,17 +44,19 @@ def direction(objective: str) -> Direction:
     return "maximize" if metric_of(objective).better == "higher" else "minimize"
 
 
-def columns(number: str) -> tuple[str, ...]:
-    """The columns of summary.parquet that an objective, or what a constraint is about, is computed from."""
-    return HEAD_PARAMETERS if number == "params.heads" else (number,)
+def columns(objectives: Sequence[str]) -> list[str]:
+    """The columns of summary.parquet that the objectives are computed from."""
+    return [
+        name for objective in objectives for name in (HEAD_PARAMETERS if objective == "params.heads" else [objective])
+    ]
 
 
 def value(summary: Mapping[str, Any], objective: str) -> float | None:
     """The objective of a run; None if its summary has no number for it."""
-    found = [float(number) for name in columns(objective) if is_number(number := summary.get(name))]
+    found = [float(number) for name in columns([objective]) if is_number(number := summary.get(name))]
     return sum(found) if found else None
 
 
-def is_judged(objective: str) -> bool:
-    """Whether every evaluation measures it, so that a trial can be judged on the way."""
-    return metric_of(objective).kind in ("image", "signal")
+def judged(objectives: Sequence[str]) -> str | None:
+    """The first objective that every evaluation measures, by which a trial can be judged on the way; None if none."""
+    return next((name for name in objectives if metric_of(name).kind in ("image", "signal")), None)

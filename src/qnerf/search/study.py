@@ -39,14 +39,14 @@ optuna.logging.set_verbosity(optuna.logging.WARNING)
 class Trial:
     """One point of the space and what its runs gave.
 
-    value: of the objective, the mean over the runs; None unless finished. curve: step -> the judged metric of a
+    values: of each objective, the mean over the runs; empty unless finished. curve: step -> the judged metric of a
         pruned trial. runs: ids, one a seed. running: whether a process trains one of them. error: why it failed.
         violations: constraint -> by how much a finished trial violates it; 0 or less where it does not.
     """
 
     point: Point
     state: State
-    value: float | None = None
+    values: tuple[float, ...] = ()
     runs: tuple[str, ...] = ()
     curve: Mapping[int, float] = field(default_factory=dict)
     running: bool = False
@@ -76,7 +76,7 @@ class Options:
 
 def propose(
     space: Space,
-    objective: str,
+    objectives: Sequence[str],
     trials: Sequence[Trial],
     count: int,
     options: Options,
@@ -89,7 +89,7 @@ def propose(
     The same trials in the same order give the same points, so a search that was killed goes on as if it had not been.
     """
     own_seed = int(np.random.SeedSequence([options.seed, len(trials)]).generate_state(1)[0])
-    study = rebuilt(space, objective, trials, SAMPLERS[options.sampler](options.startup, own_seed))
+    study = rebuilt(space, objectives, trials, SAMPLERS[options.sampler](options.startup, own_seed))
     tried = {result(trial.point) for trial in trials}
     proposed: list[Point] = []
     while len(proposed) < count and (point := _ask(study, space, own_seed, lambda p: result(p) not in tried)):
@@ -98,38 +98,41 @@ def propose(
     return proposed
 
 
-def rebuilt(space: Space, objective: str, trials: Sequence[Trial], sampler: BaseSampler | None = None) -> optuna.Study:
+def rebuilt(
+    space: Space, objectives: Sequence[str], trials: Sequence[Trial], sampler: BaseSampler | None = None
+) -> optuna.Study:
     """Optuna's study of the trials, in memory."""
-    study = optuna.create_study(direction=goals.direction(objective), sampler=sampler)
-    study.add_trials([_frozen(space, trial) for trial in trials])
+    study = optuna.create_study(directions=[goals.direction(name) for name in objectives], sampler=sampler)
+    study.add_trials([_frozen(space, trial, len(objectives) == 1) for trial in trials])
     return study
 
 
-def best(objective: str, trials: Sequence[Trial]) -> list[Trial]:
-    """The finished trials that meet all constraints, the best first."""
-    finished = [trial for trial in trials if trial.value is not None and trial.allowed]
-    sign = 1 if goals.direction(objective) == "minimize" else -1
-    return sorted(finished, key=lambda trial: sign * (trial.value or 0.0))
+def best(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> list[Trial]:
+    """The finished trials that meet all constraints and that no other such trial beats in every objective: of one
+    objective the best, of several the front."""
+    if not any(trial.state == "finished" and trial.allowed for trial in trials):
+        return []
+    return [trials[frozen.number] for frozen in rebuilt(space, objectives, trials).best_trials]
 
 
-def importances(space: Space, objective: str, trials: Sequence[Trial]) -> dict[str, float]:
+def importances(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> dict[str, float]:
     """Option -> its share in what makes trials good (PED-ANOVA, arXiv:2304.10255), the largest first.
 
-    Empty for one option, and below 10 finished trials.
+    Empty for several objectives, for one option, and below 10 finished trials.
     """
     finished = [trial for trial in trials if trial.state == "finished"]
-    if len(space) < 2 or len(finished) < 10:
+    if len(objectives) > 1 or len(space) < 2 or len(finished) < 10:
         return {}
-    return get_param_importances(rebuilt(space, objective, finished), evaluator=PedAnovaImportanceEvaluator())
+    return get_param_importances(rebuilt(space, objectives, finished), evaluator=PedAnovaImportanceEvaluator())
 
 
-def _frozen(space: Space, trial: Trial) -> FrozenTrial:
+def _frozen(space: Space, trial: Trial, one_objective: bool) -> FrozenTrial:
     return create_trial(
         state=_STATES[trial.state],
         params={option: space[option].drawn(text) for option, text in zip(space, trial.point, strict=True)},
         distributions={option: values.distribution() for option, values in space.items()},
-        value=trial.value,
-        intermediate_values=dict(trial.curve),
+        values=list(trial.values) or None,
+        intermediate_values=dict(trial.curve) if one_objective else {},
         constraints=dict(trial.violations),
     )
 
