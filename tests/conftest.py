@@ -30,6 +30,7 @@ SLOW = (
     "analysis/test_report.py",
     "analysis/test_report_browser.py",
     "analysis/test_tables.py",
+    "auto/test_exposure.py",
     "auto/test_poses.py",
     "auto/test_resolve.py",
     "auto/test_rules.py",

@@ -50,7 +50,7 @@ def test_auto_leaves_what_is_set_by_hand():
 
 
 def test_auto_on_one_option_decides_that_one():
-    for option in ("render.background", "encoder.levels", "visibility.cameras"):
+    for option in ("appearance", "render.background", "encoder.levels", "visibility.cameras"):
         config = composed(f"{option}=auto")
         assert asked(config) == [option]
         resolved, decisions = resolve(config, BALL)
@@ -71,6 +71,8 @@ def test_a_component_gets_the_options_that_it_has():
     assert columns(because)["needs.contraction.name.half_extent"] == half
     assert unbounded["contraction"] == {"name": "linf"}
     assert unbounded["cameras"] == {"name": "fixed"}
+    shaded, _ = resolve(composed("shading=auto", "shading.parts=3"), BALL)
+    assert shaded["shading"] == {"name": "merge", "parts": 3}
 
 
 @pytest.mark.parametrize(("half", "expected"), [("0.7", 0.7), ("auto", None)])

@@ -6,10 +6,9 @@ import math
 import pytest
 import torch
 
-from qnerf.auto.poses import Epipolar
-from qnerf.auto.rules import FINEST, RULES, Measured
+from qnerf.auto.rules import EMBEDDING, FINEST, RULES, Measured
 from tests.helpers.configs import composed
-from tests.helpers.worlds import ball, cameras, constant, floor, ring, scene, turned
+from tests.helpers.worlds import ball, brightened, cameras, constant, floor, ring, scene, turned
 
 BALL, FLOOR = ball(focal=45.0, radius=0.2), floor()
 OUTWARD = scene(constant(9).images, cameras(ring(6, outward=True)))
@@ -42,6 +41,9 @@ def test_rules_find_what_a_scene_needs():
         ("train.error_rays", FLOOR, 0.0),
         ("visibility.cameras", BALL, 4),
         ("visibility.cameras", OUTWARD, 0),
+        ("appearance", FLOOR, 0),
+        ("appearance", brightened(FLOOR, 0.15), EMBEDDING),
+        ("appearance", constant(0), 0),
         ("cameras.name", FLOOR, "fixed"),
         ("cameras.name", constant(0), "fixed"),
     ):
@@ -133,14 +135,24 @@ def test_numbers_by_hand_that_a_rule_cannot_use_are_one_line():
         assert "\n" not in str(caught.value)
 
 
+def test_a_positional_encoding_reaches_the_images_finest_detail():
+    encoder = {"encoder": {"name": "pe", "bands": "auto", "max_exponent": "auto"}}
+    exponents = []
+    for world in (constant(50), floor(detail=2.0), floor(detail=8.0)):
+        exponents.append(decided("encoder.max_exponent", world, hashed() | encoder).value)
+    assert exponents == sorted(exponents)
+    assert exponents[0] == 1 < exponents[-1]
+    set_ = {"encoder": {"name": "pe", "bands": "auto", "max_exponent": 6.0}}
+    assert decided("encoder.bands", FLOOR, hashed() | set_).value == 8
+
+
 def test_rules_measure_once_and_when_asked(monkeypatch):
     without = dataclasses.replace(FLOOR)
     object.__setattr__(without, "images", None)  # whoever looks at them fails
     measured = Measured(without)
-    assert RULES["encoder.levels"](measured, hashed(max_resolution=16)).value == 1
+    assert RULES["shading.name"](measured, AUTO).value == "merge"
     calls = []
-    error = Epipolar(given=1.0, best=0.1, pairs=4, others={})
-    monkeypatch.setattr("qnerf.auto.poses.epipolar_error", lambda scene: calls.append(1) or error)
+    monkeypatch.setattr("qnerf.auto.exposure.exposure_spread", lambda scene: calls.append(1) or 0.2)
     for _ in range(2):
-        assert RULES["cameras.name"](measured, AUTO).value == "so3xr3"
+        assert RULES["appearance"](measured, AUTO).value == EMBEDDING
     assert calls == [1]

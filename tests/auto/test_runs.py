@@ -32,7 +32,7 @@ def test_decisions_are_the_configuration_and_columns(auto):
     assert row["needs.contraction.name"] == "box"
     assert row["needs.render.background"] == config["render"]["background"] == "white"
     assert row["needs.contraction.name.half_extent"] == config["contraction"]["half_extent"] > 0
-    assert "needs.cameras.name.epipolar_px" not in row.index  # nothing on the ball tells
+    assert "needs.appearance.exposure_spread" not in row.index  # nothing on the ball tells
 
     loaded = trained.load(outcome.path)
     assert loaded.settings.contraction == config["contraction"]

@@ -116,7 +116,7 @@ TRAINED: dict[str, list[tuple[str, ...]]] = {
     ],
     "ansatz": [("field=qboth", f"ansatz={name}", "density.qiren.ansatz=cnot", *SMALL) for name in choices("ansatz")],
     "other": [
-        *((f"{group}=auto", "field=classical") for group in ("hash", "cameras", "contraction")),
+        *((f"{group}=auto", "field=classical") for group in ("hash", "cameras", "shading", "contraction")),
         *((f"render.background={name}", "field=classical") for name in ("white", "black", "random", "last_sample")),
         ("stop.every=1", "stop.share=0.2", "field=classical"),
         ("numerics.dtype=float64", "appearance=3", "field=qboth", *SMALL),

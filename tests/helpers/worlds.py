@@ -119,6 +119,13 @@ def constant(value: int, views: int = 6, channels: int = 3, **options) -> Scene:
     return scene(torch.full((views, of.height, of.width, channels), value, dtype=torch.uint8), of)
 
 
+def brightened(of: Scene, spread: float, seed: int = 0) -> Scene:
+    """Each view's values times a factor of its own, whose logarithm has this standard deviation."""
+    drawn = np.random.default_rng(seed).normal(size=(len(of.images), 1, 1, 1))
+    factors = torch.from_numpy(np.exp(spread * drawn / drawn.std()))
+    return dataclasses.replace(of, images=(of.images * factors).round().clamp(0, 255).to(torch.uint8))
+
+
 def turned(of: Scene, degrees: float, seed: int = 0) -> Scene:
     """Poses turned by random angles of this root mean square, each about the camera's own centre."""
     vectors = np.random.default_rng(seed).normal(size=(len(of.images), 3)) * np.deg2rad(degrees) / np.sqrt(3)

@@ -9,9 +9,10 @@ from qnerf.auto.rules import AUTO, RULES, Decision, Measured
 from qnerf.config.registry import Registry
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
+from qnerf.rendering.shading import SHADINGS
 from qnerf.scenes import Scene
 
-CHOSEN_BY_RULES: dict[str, Registry[Any]] = {"contraction": CONTRACTIONS, "cameras": CAMERAS}
+CHOSEN_BY_RULES: dict[str, Registry[Any]] = {"contraction": CONTRACTIONS, "cameras": CAMERAS, "shading": SHADINGS}
 """Group whose component a rule may choose -> the registry of its components."""
 
 
@@ -39,7 +40,7 @@ def resolve(config: Mapping[str, Any], scene: Scene) -> tuple[dict[str, Any], di
 
 
 def columns(decisions: Mapping[str, Decision]) -> dict[str, Any]:
-    """Columns of a summary: `needs`, each decision, such as needs.cameras.name, and what was measured for it."""
+    """Columns of a summary: `needs`, each decision, such as needs.appearance, and what was measured for it."""
     found: dict[str, Any] = {"needs": "auto" if decisions else "none"}
     for option, decision in decisions.items():
         found[f"needs.{option}"] = str(decision.value)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from qnerf.auto import detail, poses, space
+from qnerf.auto import detail, exposure, poses, space
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.rays import TrainingPixels
 from qnerf.scenes import Scene
@@ -37,6 +37,10 @@ class Measured:
     @cached_property
     def followed(self) -> space.Followed:
         return space.Followed(self.scene)
+
+    @cached_property
+    def exposure(self) -> float:
+        return exposure.exposure_spread(self.scene)
 
     @cached_property
     def epipolar(self) -> poses.Epipolar:
@@ -109,6 +113,15 @@ def silhouettes(data: Measured, config: Config) -> Decision:
     return Decision(data.half_extent is not None, {"alpha": float(data.scene.has_alpha)})
 
 
+EXPOSURE = 0.05  # standard deviation over views of the log brightness above which each view gets an embedding
+EMBEDDING = 16
+
+
+@rule("appearance")
+def appearance(data: Measured, config: Config) -> Decision:
+    return Decision(EMBEDDING if data.exposure > EXPOSURE else 0, {"exposure_spread": data.exposure, "limit": EXPOSURE})
+
+
 @rule("cameras.name")
 def refinement(data: Measured, config: Config) -> Decision:
     error = data.epipolar
@@ -178,3 +191,19 @@ def log2_table_size(data: Measured, config: Config) -> Decision:
     values = float(min(data.observed, 3 * train["rays"] * train["steps"]))
     entries = NUMBERS_PER_VALUE * values / (hash_option(config, "levels") * hash_option(config, "features"))
     return Decision(min(19, max(10, math.floor(math.log2(max(entries, 1))))), {"seen_values": values})
+
+
+@rule("encoder.max_exponent")
+def max_exponent(data: Measured, config: Config) -> Decision:
+    cycles = unit_resolution(data, config) / OVERSAMPLING / 2
+    return Decision(float(max(1, math.ceil(math.log2(max(cycles, 1))))), {"cycles": cycles})
+
+
+@rule("encoder.bands")
+def bands(data: Measured, config: Config) -> Decision:
+    return Decision(int(config["encoder"]["max_exponent"]) + 2)
+
+
+@rule("shading.name")
+def shading(data: Measured, config: Config) -> Decision:
+    return Decision("merge")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from qnerf import auto
-from qnerf.auto import poses
+from qnerf.auto import exposure, poses
 from qnerf.building.configuration import Configuration
 from qnerf.building.model import build_model, check_samples_of_a_step, ray_table
 from qnerf.config.settings import PoseNoise, Settings, built
@@ -83,7 +83,7 @@ class FieldTask(Task):
         return described_bounds(self.scene, self.table.near, self.table.far)
 
     def doubts(self) -> list[str]:
-        return [doubt] if (doubt := poses.warning(self.scene)) else []
+        return [doubt for doubt in (poses.warning(self.scene), exposure.warning(self.scene)) if doubt]
 
     def rays_of(self, views: Sequence[int]) -> int:
         return int(self.scene.cameras.all_sizes[list(views)].prod(1).sum())
