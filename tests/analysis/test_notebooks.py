@@ -8,7 +8,7 @@ nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
 nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
 
 FOLDER = ROOT / "analysis" / "notebooks"
-DRAWN = {"pandas": 1, "capacity": 1, "your_sweep": 2, "train": 1}
+DRAWN = {"pandas": 1, "capacity": 2, "your_sweep": 2, "train": 1}
 """Notebook -> number of pictures in it."""
 
 
