@@ -105,7 +105,7 @@ def read(
     text += f"; {copies.sum():,} repeated rows left out" * bool(copies.any())
     lower = [name for name in names if metric_of(name).sign < 0]
     print(f"{name}: {len(frame)} runs; {text}" + f" (less is better: {_list(lower)})" * bool(lower), file=sys.stderr)
-    return frame.assign(path=[str(Path(name) / run) for run in frame["run_id"]], tags=None, note=None)
+    return frame.assign(path=[str(Path(name) / run) for run in frame["run_id"]])
 
 
 def _table(store: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, list[str], str]:

@@ -26,7 +26,7 @@ NEEDED = (
 def runs(
     store: str | Path | pd.DataFrame, filter: str | Mapping[str, Any] | None = None, **columns: Any
 ) -> pd.DataFrame:
-    """One row a run: final metrics, parameter counts, timings, the flat configuration, state, tags, note, `path`.
+    """One row a run: final metrics, parameter counts, timings, the flat configuration, state, `path`.
 
     See `qnerf.records.index.load`, which keeps an index: the next call reads only what has changed.
 

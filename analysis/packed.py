@@ -22,7 +22,7 @@ from .output import make_folder
 RUNS, VIEWS = "runs.parquet", "views.parquet"
 PROBES = ("units", "cost", "eval_hardware")
 """Tables that `qnerf probe` leaves in a run's folder and that are small enough to keep."""
-_HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path", "tags", "note")
+_HERE = ("path", "store", "heartbeat", "lpips_reason", "error", "threads", "device", "scene.path")
 """Columns about the machine that a run was done on, which are not packed."""
 
 

@@ -178,12 +178,10 @@ def classical_baseline(runs: pd.DataFrame, rows: Sequence[str]) -> dict[str, obj
 
 
 def check_keys(frame: pd.DataFrame, rows: Sequence[str]) -> None:
-    """ValueError where a key is no column, with the nearest names, or a run can have several of its values."""
+    """ValueError where a key is no column, with the nearest names."""
     for key in rows:
         if (known := check_column(key, frame.columns)) != key:
             raise ValueError(f"no run has a column {key!r}; did you mean {known}?")
-        if frame[key].map(lambda value: isinstance(value, (tuple, list))).any():
-            raise ValueError(f"a run can have several {key}; expected a key with one value a run")
 
 
 def refuse_mixtures(runs: pd.DataFrame, rows: Sequence[str]) -> None:

@@ -122,6 +122,20 @@ def amplitudes(wires: int) -> Case:
     return Case(wires, 2**wires, (2, wires, 3), queue)
 
 
+def qiren(wires: int, spectral: int) -> Case:
+    def queue(inputs: Any, w: Any) -> None:
+        for block in range(spectral + 1):
+            for layer in range(2):
+                for wire in range(wires):
+                    qml.Rot(*w[2 * block + layer, wire], wires=wire)
+                for wire in range(wires):
+                    qml.CZ([wire, (wire + layer + 1) % wires])
+            for wire in range(wires) if block < spectral else ():
+                qml.RZ(inputs[..., wire], wires=wire)
+
+    return Case(wires, wires, (2 * (spectral + 1), wires, 3), queue)
+
+
 def basic(wires: int, layers: int, gate: Any, rotation: str = "Y") -> Case:
     return after_angles(
         wires, (layers, wires), lambda w, n: qml.BasicEntanglerLayers(w, wires=range(n), rotation=gate), rotation
@@ -133,6 +147,9 @@ def drawn(wires: int, rotations: int) -> Case:
 
 
 CASES = {
+    "QIREN 8, S = 1": qiren(8, 1),
+    "QIREN 8, S = 2": qiren(8, 2),
+    "QIREN 8, S = 4": qiren(8, 4),
     "strongly entangling 4": after_angles(4, (3, 4, 3), strong),
     "strongly entangling 8": after_angles(8, (3, 8, 3), strong),
     "basic entangler RX 4": basic(4, 3, qml.RX),

@@ -18,7 +18,7 @@ from .columns import packed
 
 FIRST_COLUMNS = ("run_id", "state")
 LABEL_COLUMNS = ("scene_name", "field", "encoder", "density", "color", "seed")
-COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s", "tags")
+COST_COLUMNS = ("params.heads", "params.total", "step_ms", "train_s")
 """The table of runs shows these to begin with, and the image metrics before the costs."""
 
 MOST_KEYS = 8  # that tell configurations apart, among the first columns
@@ -36,9 +36,8 @@ def prepared(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def described(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with an id, the parameters of the heads, and None for tags and notes that are empty."""
+    """`frame` with an id and the parameters of the heads."""
     new: dict[str, object] = {"run_id": frame["run_id"].fillna(frame["path"].str.rsplit("/", n=1).str[-1])}
-    new |= {name: [value or None for value in frame.get(name, [None] * len(frame))] for name in ("tags", "note")}
     new["params.heads"] = frame[list(HEAD_PARAMETERS)].sum(axis=1, min_count=1)
     return frame.assign(**new)
 

@@ -33,7 +33,7 @@ async function fillDetail(run) {
   const results = [...columns.keys()].filter((name) => !DATA.settings.includes(name) && !HIDDEN.includes(name));
   $("detail-body").replaceChildren(
     element("div", { class: "controls" }, add),
-    pairs(["state", "error", "tags", "note", "version", "path"].filter((name) => value(name, run) !== null), run),
+    pairs(["state", "error", "version", "path"].filter((name) => value(name, run) !== null), run),
     element("h3", {}, "Results"), pairs(results.filter((name) => value(name, run) !== null), run),
     element("h3", {}, "Held-out views"), element("div", { id: "detail-views" }),
     element("h3", {}, "Configuration"), pairs(DATA.settings.filter((name) => value(name, run) !== null), run),
@@ -42,7 +42,7 @@ async function fillDetail(run) {
   if (opened === run) $("detail-views").replaceChildren(...(source.preview ? source.preview(run) : []), ...views);
 }
 
-const HIDDEN = ["run_id", "state", "error", "tags", "note", "version", "path", "configuration"];
+const HIDDEN = ["run_id", "state", "error", "version", "path", "configuration"];
 
 function pairs(names, run) {
   const items = names.flatMap((name) => [element("dt", {}, heading(name)), element("dd", {}, shown(name, value(name, run)))]);

@@ -169,7 +169,7 @@ def test_runs_that_did_not_finish_are_counted_and_not_averaged_in(html):
 
 
 def test_hostile_values_stay_inside_their_cells_and_their_json(frame, gathered_once):
-    hostile = frame.assign(note=EVIL, run_id=EVIL, tags=[("<b>", EVIL)] * len(frame), **{EVIL: 1})
+    hostile = frame.assign(note=EVIL, run_id=EVIL, listed=[("<b>", EVIL)] * len(frame), **{EVIL: 1})
     table = tables.attempt(EVIL, lambda: tables_of_one(EVIL))
     section = parts.Part("evil", EVIL, EVIL, [table], absent=[EVIL])
     data = content.data(hostile, Pictures(), {})
@@ -177,7 +177,7 @@ def test_hostile_values_stay_inside_their_cells_and_their_json(frame, gathered_o
     found = Scripts(text)
     assert len(found.scripts) == 3
     read = json.loads(found.scripts[0][1])["columns"]
-    assert (read["note"], read["tags"], read[EVIL]) == ({"all": EVIL}, {"all": ["<b>", EVIL]}, {"all": 1})
+    assert (read["note"], read["listed"], read[EVIL]) == ({"all": EVIL}, {"all": ["<b>", EVIL]}, {"all": 1})
     assert "<img src=x" not in text
     assert all(address.startswith(("#", "data:")) for address in found.addresses)
 

@@ -16,7 +16,7 @@ from qnerf.analysis.serve.answers import Answers
 from qnerf.analysis.serve.store import WatchedStore
 from qnerf.analysis.tables import ablation
 
-from qnerf.records import RunStore, annotations
+from qnerf.records import RunStore
 from tests.helpers.packed_stores import picture, write_run
 from tests.helpers.serving import EVIL, cookie, served
 from tests.helpers.stores import vanish
@@ -96,7 +96,7 @@ def test_the_watched_store_says_what_has_changed(tmp_path, monkeypatch):
     assert watched.version() == watched.version() == 0
     write_run(store, seed=1)
     assert watched.version() == 1
-    annotations.change_tags(first, ["good"])
+    (first / "status.json").touch()
     version, frame = watched.frame()
     assert (version, set(frame["configuration"]), len(frame)) == (2, {"classical"}, 2)
     (store / "poster-classical-s1").rename(tmp_path / "elsewhere")

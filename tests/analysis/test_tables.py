@@ -258,11 +258,6 @@ def test_tables_prints_what_is_asked_for(store, capsys):
         main([str(store), "--rows", "field", "--baseline", "seed"])
 
 
-def test_a_key_with_several_values_a_run_is_refused(store, capsys):
-    with pytest.raises(ValueError, match="a run can have several tags; expected a key with one value a run"):
-        main([str(store), "--rows", "tags"])
-
-
 def test_a_mixture_in_a_row_without_a_value_is_named(store):
     frame = runs(store).assign(note=np.nan)
     with pytest.raises(ValueError, match="row none mixes runs of different field"):

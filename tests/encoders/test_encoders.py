@@ -4,12 +4,9 @@ import math
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from torch.autograd import gradcheck
 
 from qnerf.encoders import DIRECTIONS, ENCODERS, HashEncoder, spherical_harmonics
-from qnerf.encoders.frequency_window import window_weights
 from qnerf.kernels.hashgrid import hash_encode_reference
 
 TINY_HASH = {"levels": 3, "max_resolution": 40, "log2_table_size": 8, "features": 2}
@@ -143,32 +140,3 @@ def test_direction_components():
     assert torch.equal(DIRECTIONS.build("sh", interval="unit")(directions), spherical_harmonics(moved, 4))
     with pytest.raises(ValueError, match="interval expects one of signed, unit"):
         DIRECTIONS.build("raw", interval="both")
-
-
-@given(st.integers(1, 20), st.floats(0, 1), st.floats(0, 1))
-def test_release_opens_one_level_after_the_other(count, progress, share):
-    weights = window_weights(count, progress, share)
-    if progress >= share:
-        assert weights is None
-        return
-    assert weights.shape == (count,)
-    assert bool((weights.diff() <= 0).all())
-    assert 0 <= float(weights.min()) <= float(weights.max()) <= 1
-    assert bool((weights[: count // 2] == 1).all())
-    later = window_weights(count, progress + 0.01, share)
-    assert later is None or bool((later >= weights).all())
-
-
-@pytest.mark.parametrize(("name", "options"), [("hash", TINY_HASH), ("pe", {"bands": 4, "include_input": True})])
-def test_released_features_are_the_encoders_times_their_weight(name, options):
-    encoder = ENCODERS.build(name, 3, frequency_window=0.5, **options).double()
-    points = torch.rand(6, 3, dtype=torch.float64)
-    full = encoder(points)
-    count = 3 if name == "hash" else 4
-    encoder.progress = 0.2
-    weights = window_weights(count, 0.2, 0.5).double()
-    factor = weights.repeat_interleave(2) if name == "hash" else torch.cat([weights.repeat(6), torch.ones(3)])
-    torch.testing.assert_close(encoder(points), full * factor)
-    assert float(factor.min()) < 1
-    encoder.progress = 0.5
-    assert torch.equal(encoder(points), full)

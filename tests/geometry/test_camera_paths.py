@@ -1,11 +1,10 @@
-import json
 import math
 
 import numpy as np
 import pytest
 import torch
 
-from qnerf.geometry.camera_paths import PATHS, Camera, focal_as, focus, look_at, path_json, read_path
+from qnerf.geometry.camera_paths import PATHS, Camera, focal_as, focus, look_at
 from qnerf.geometry.rays import camera_rays
 from qnerf.scenes.base import Cameras
 
@@ -104,33 +103,3 @@ def test_pinhole_rays_are_those_of_the_scene_s_cameras():
             Camera(*wrong)
     assert focal_as(cameras, 0, 12, 8) == pytest.approx(10)
     assert focal_as(cameras, 0, 4, 6) == pytest.approx(5)
-
-
-def test_a_camera_path_is_read_back_in_either_world(tmp_path):
-    cameras = [Camera(pose, 40.0, 64, 36) for pose in ring(3)]
-    file = tmp_path / "path.json"
-    file.write_text(json.dumps(path_json(cameras)))
-    turn = look_at(np.zeros(3), np.array([1.0, 2, 3]), UP)[:, :3]
-    similarity = np.vstack([np.hstack([0.5 * turn, [[1], [2], [3]]]), [0, 0, 0, 1]])
-    for read in (read_path(file, 64, 36, 1.0), read_path(file, 64, 36, 1.0, np.eye(4))):
-        assert [camera.focal for camera in read] == pytest.approx([40.0] * 3)
-        np.testing.assert_allclose([camera.pose for camera in read], ring(3), atol=1e-9)
-    (moved, *_) = read_path(file, 64, 36, 1.0, similarity)
-    np.testing.assert_allclose(moved.pose[:, :3], turn @ ring(3)[0][:, :3], atol=1e-9)
-    np.testing.assert_allclose(moved.pose[:, 3], 0.5 * turn @ ring(3)[0][:, 3] + [1, 2, 3], atol=1e-9)
-
-
-def test_a_camera_path_with_a_mistake_is_one_line(tmp_path):
-    for text, message in (
-        ("{", "is no JSON"),
-        ("[]", "expected a list camera_path"),
-        ('{"camera_path": []}', "expected a list camera_path"),
-        ('{"camera_path": [{}]}', "camera 0: expected camera_to_world"),
-        ('{"camera_path": [{"camera_to_world": [1, 2]}]}', "camera 0: expected camera_to_world"),
-        ('{"camera_path": [{"camera_to_world": [2,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}]}', "is not rigid"),
-        ('{"camera_path": [{"camera_to_world": [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1], "fov": 190}]}', "fov must be"),
-    ):
-        (tmp_path / "path.json").write_text(text)
-        with pytest.raises(ValueError, match=message) as error:
-            read_path(tmp_path / "path.json", 8, 8, 1.0)
-        assert "\n" not in str(error.value)

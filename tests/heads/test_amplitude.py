@@ -13,11 +13,9 @@ from qnerf.quantum.basis import bit
 
 VARIANTS = [
     {},
-    {"entangler": "CNOT", "rotations": "Rot"},
-    {"amplitudes": "complex", "values": "probabilities"},
-    {"amplitudes": "complex", "rotations": "Rot", "hidden": 4},
+    {"rotations": "Rot", "hidden": 4},
     {"encoding": "softmax", "readout": False},
-    {"encoding": "softmax", "amplitudes": "complex", "unitary": "local", "values": "Z"},
+    {"encoding": "softmax", "unitary": "local", "values": "Z"},
     {"unitary": "identity"},
     {"unitary": "dense"},
     {"unitary": "random", "rotations": "Rot"},
@@ -71,10 +69,7 @@ def gate_by_gate(system, parts, features, weights):
             state = rotated(state, unitaries.angles[place // (3 * n), gate.wires[0]], gate.wires[0], n)
         elif unitaries.kind in ("circuit", "local"):
             control, target = gate.wires
-            if gate.name == "CZ":
-                state = state * (1.0 - 2.0 * bits[:, control] * bits[:, target])
-            else:
-                state = state[:, torch.arange(2**n) ^ (bits[:, control] << (n - 1 - target))]
+            state = state * (1.0 - 2.0 * bits[:, control] * bits[:, target])
     return state.abs().square() @ system.measured.T @ weights.T
 
 
@@ -118,8 +113,7 @@ def test_labels_name_what_is_not_the_default():
 
 def test_options_that_are_not_read_change_nothing():
     others = {
-        "amplitudes": "complex", "hidden": 4, "bias": 0.7, "branch": "bloch", "direction_features": 2, "layers": 3,
-        "rotations": "Rot", "entangler": "CNOT", "frequencies": "ternary",
+        "hidden": 4, "bias": 0.7, "branch": "bloch", "layers": 3, "rotations": "Rot", "frequencies": "ternary",
     }  # fmt: skip
     defaults = {name: parameter.default for name, parameter in HEADS.options("amplitude").items()}
     for options in VARIANTS:

@@ -52,7 +52,6 @@ MISTAKES = [
     ("amplitude", {"branch": "amplitude"}, "expects two registers"),
     ("amplitude", {"encoding": "none"}, "uploads of at least 1"),
     ("hyper", {"qubits": 11}, "qubits must be between 1 and 10, got 11"),
-    ("amplitude", {"registers": [2, 1], "branch": "bloch", "direction_features": 2}, "3 coordinates"),
     ("amplitude", {"readout": False, "values": "Z", "registers": [1]}, "expects at least 2 values, got 1"),
 ]
 

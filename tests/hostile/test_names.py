@@ -4,7 +4,7 @@ import pytest
 
 from qnerf import records
 from qnerf.config.identity import is_unicode
-from qnerf.records import RunStore, annotations, details, find, index
+from qnerf.records import RunStore, details, find, index
 from tests.helpers.stores import CONFIG, claimed
 
 NAMES = ["-rf", "a b", "new\nline", "\x1b[31mred", "\u202eabc", "$(touch owned)", "ünï-漢字", "x" * 250, "a'\"&<b>"]
@@ -51,12 +51,9 @@ def test_a_store_ignores_what_else_lies_in_it(tmp_path):
 def test_text_that_is_not_utf8_is_one_damaged_row_or_refused_where_it_comes_in(tmp_path):
     for name in ("a", "b"):
         claimed(RunStore(tmp_path), name).finish()
-    with pytest.raises(ValueError, match="expected a note in UTF-8, got 'gr"):
-        annotations.write_note(tmp_path / "a", "gr\udcfcn")
     with pytest.raises(ValueError, match="expected a folder whose name is UTF-8"):
         index.load("gr\udcfcn")
     (tmp_path / "b").rename(tmp_path / "gr\udcfcn")
-    (tmp_path / "a" / "annotations.json").write_text('{"tags": [], "note": "gr\\udcfcn"}')
     frame = index.load(tmp_path)
     assert frame["state"].tolist() == ["finished", "damaged"]
     assert frame["error"][1] == "gr\\udcfcn: expected a folder whose name is UTF-8; rename it"

@@ -62,7 +62,6 @@ def with_own_forward(one):
 
 REASONS = {
     "Windowed extends HashEncoder": lambda: field(Windowed(3, **GRID)),
-    "frequency_window of HashEncoder": lambda: field(HashEncoder(3, **GRID, frequency_window=0.5)),
     "hooks on Linear": lambda: hooked(field()),
     "another forward of HashEncoder": lambda: with_own_forward(field()),
 }

@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from benchmarks.accuracy_cases import rounded
 from benchmarks.accuracy_cases.geometry import HARMONICS
 from qnerf.encoders import spherical_harmonics
-from qnerf.encoders.directions import harmonics_reference
-from qnerf.kernels.dispatch import report
 
 AXES = st.tuples(*[st.floats(-1, 1, width=32)] * 3)
 
@@ -47,13 +45,3 @@ def test_harmonics_are_orthonormal_over_the_sphere(degree):
     values = spherical_harmonics(torch.stack([across * angle.cos(), across * angle.sin(), z], -1), degree)
     products = torch.einsum("i,ijk,ijl->kl", weights * math.tau / 16, values, values)
     torch.testing.assert_close(products, torch.eye(degree**2, dtype=torch.float64))
-
-
-@pytest.mark.parametrize("degree", [1, 2, 3, 4])
-def test_the_loop_is_its_reference(degree):
-    """To rounding, and where it does not serve the gradient is the reference's."""
-    directions = torch.randn(50, 2, 3, generator=torch.Generator().manual_seed(degree), dtype=torch.float64)
-    torch.testing.assert_close(spherical_harmonics(directions, degree), harmonics_reference(directions, degree))
-    with report() as aside:
-        spherical_harmonics(directions.requires_grad_(), degree)
-    assert aside == {"spherical harmonics": "the directions need a gradient"}

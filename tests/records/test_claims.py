@@ -73,7 +73,7 @@ def test_a_run_done_over_loses_our_files_alone(store_):
         "images/mine.png",
         "metrics/notes.txt",
         "checkpoint-best.pt",
-        "annotations.json",
+        "marks.json",
     ]
     for name in (*users, *ours[-2:]):
         (run.dir / name).parent.mkdir(exist_ok=True)

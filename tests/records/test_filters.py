@@ -17,7 +17,6 @@ RUNS = pd.DataFrame(
         "run.force": [False, True, False, False],
         "mixed": ["1", "auto", "true", None],
         "flag": pd.Series([True, None, False, None], dtype=object),
-        "tags": [(), ("good",), ("good", "old"), ()],
         "samples": ["[128, 64]", "[64, 32]", None, None],
         "scene.path": [None, None, "/data/fox_64", None],
     }
@@ -35,14 +34,11 @@ def test_a_filter_chooses_runs():
         ("psnr>=20 'psnr<25'", "ab"),
         ("run.force=true", "b"),
         ("mixed=auto", "b"),
-        ("tag=good", "bc"),
         ("field=q* seed=1", "b"),
         ("b", "b"),
         ("id=b,c", "bc"),
         ("psnr>=21.5", "bc"),
         ("psnr=none", "d"),
-        ("tag!=good", "ad"),
-        ("tag=none", "ad"),
         ("flag=none", "bd"),
         ("scene.path=*fox*", "c"),
         ("samples=[128,64],[64,32]", "ab"),
@@ -57,8 +53,6 @@ def test_a_filter_chooses_runs():
         ({"flag": False}, "c"),
         ({"mixed": 1}, "a"),
         ({"mixed": True}, "c"),
-        ({"tags": "good"}, "bc"),
-        ({"tags": ["old", "new"]}, "c"),
     ):  # fmt: skip
         assert "".join(filters.require(RUNS, condition)["run_id"]) == chosen, condition
 
@@ -76,7 +70,6 @@ def test_a_filter_that_chooses_nothing_says_why():
         ("psnr>30 seed=1", "psnr: 20, 21.5, 25; seed: 0, 1, 2, 3"),
         ({"field": "qboth", "seed": 1}, "has field=qboth, seed=1; there are field: classical, qcolor; seed: 0, 1"),
         ({"seed": []}, r"no run of 4 has seed=\[\]"),
-        ({"tags": "bad"}, "tags: good, old"),
         ("fild=a", "no run has a column 'fild'; did you mean field"),
         ("layers=1", "no run has a column 'layers'; did you mean qiren.layers"),
         ({"qiren.layer": 1}, "no run has a column 'qiren.layer'; did you mean qiren.layers"),

@@ -18,7 +18,7 @@ from tests.helpers.stores import vanish
 
 CONFIG = {"seed": 0, "train": {"lr": 0.01, "steps": 10}, "experiment": None}
 TYPES = {"seed": "int", "train.lr": "float", "train.steps": "int"}
-SUMMARY, STATUS, ANNOTATIONS = "summary.parquet", "status.json", "annotations.json"
+SUMMARY, STATUS = "summary.parquet", "status.json"
 
 
 def put(path, data):
@@ -39,12 +39,11 @@ def test_row_is_what_the_run_wrote(tmp_path):
     claim = RunStore(tmp_path / "runs").claim("a", CONFIG | {"seed": 7}, columns={"field": "qcolor"})
     claim.run.log(4, 0.5, {"loss": 1.0})
     claim.run.finish({"psnr": 21.5, "params.total": 491})
-    (claim.dir / ANNOTATIONS).write_text('{"tags": ["good", "baseline"], "note": "see the ä"}')
     frame = index.load(tmp_path / "runs")
     (row,) = frame.to_dict("records")
     expected = {
-        "run_id": "a", "state": "finished", "path": str(claim.dir), "step": 4, "tags": ("baseline", "good"),
-        "note": "see the ä", "field": "qcolor", "seed": 7, "train.lr": 0.01, "psnr": 21.5, "params.total": 491,
+        "run_id": "a", "state": "finished", "path": str(claim.dir), "step": 4,
+        "field": "qcolor", "seed": 7, "train.lr": 0.01, "psnr": 21.5, "params.total": 491,
     }  # fmt: skip
     assert {key: row[key] for key in expected} == expected
     assert row["heartbeat"] >= row["created"] > 1e9
@@ -76,7 +75,6 @@ def test_damaged_runs_are_rows(tmp_path):
     (write(store, "bare", state="failed") / SUMMARY).unlink()
     (write(store, "mute") / STATUS).unlink()
     put(write(store, "odd") / STATUS, b"[1, 2]")
-    put(write(store, "noted") / ANNOTATIONS, b'{"tags": "no list", "note": 5}')
     put(store / "configured" / "config.yaml", b"seed: 0\n")
     pq.write_table(pa.table({"psnr": [[1.0]]}), write(store, "typed") / SUMMARY)
     (store / "empty").mkdir()
@@ -85,12 +83,10 @@ def test_damaged_runs_are_rows(tmp_path):
     frame = index.load(store).set_index("run_id")
     assert frame["state"].to_dict() == {
         "bare": "failed", "configured": "interrupted", "damaged": "damaged", "good": "finished",
-        "mute": "interrupted", "noted": "finished", "odd": "damaged", "typed": "damaged",
+        "mute": "interrupted", "odd": "damaged", "typed": "damaged",
     }  # fmt: skip
     assert "summary.parquet: damaged: " in frame["error"]["damaged"]
     assert frame["psnr"].notna().sum() == 1
-    assert set(frame["tags"]) == {()}
-    assert frame["note"].isna().all()
     pd.testing.assert_frame_equal(frame, index.load(store).set_index("run_id"))
 
 
@@ -136,21 +132,19 @@ def test_only_what_changed_is_read_again(tmp_path, reads):
     index.load(store)
     assert reads == []
     put(store / "b" / STATUS, b'{"state": "failed", "error": "why"}')
-    put(store / "c" / ANNOTATIONS, b'{"tags": ["x"]}')
     shutil.rmtree(store / "a")
     frame = index.load(store)
-    assert reads == ["b", "c"]
+    assert reads == ["b"]
     assert frame["run_id"].tolist() == ["b", "c", "d"]
     assert frame["state"].tolist() == ["failed", "finished", "finished"]
     assert frame["error"].tolist()[0] == "why"
-    assert frame["tags"].tolist() == [(), ("x",), ()]
     (store / index.INDEX).write_bytes(b"damaged")
     pd.testing.assert_frame_equal(index.load(store), frame)
 
 
 operations = st.lists(
     st.tuples(
-        st.sampled_from(["write", "write", "write", "remove", "damage", "strip", "tag", "status"]),
+        st.sampled_from(["write", "write", "write", "remove", "damage", "strip", "status"]),
         st.sampled_from("abcd"),
         st.sampled_from([1, 0.5, "text", True, None, [1]]),
         st.booleans(),
@@ -175,8 +169,6 @@ def test_store_that_changes_reads_as_if_read_for_the_first_time(tmp_path_factory
             put(run / SUMMARY, b"damaged")
         elif operation == "strip":
             (run / SUMMARY).unlink(missing_ok=True)
-        elif operation == "tag":
-            put(run / ANNOTATIONS, json.dumps({"tags": [str(value)], "note": str(value)}).encode())
         else:
             put(run / STATUS, json.dumps({"state": "failed", "error": str(value)}).encode())
         if look:
@@ -193,8 +185,8 @@ def test_columns_that_are_asked_for(tmp_path):
     store = tmp_path / "runs"
     write(store, "a", psnr=1.0)
     put(write(store, "b") / SUMMARY, b"damaged")
-    frame = index.load(store, ["psnr", "run_id", "never there", "state", "train.lr", "tags"])
-    assert list(frame.columns) == ["psnr", "run_id", "state", "train.lr", "tags"]
+    frame = index.load(store, ["psnr", "run_id", "never there", "state", "train.lr"])
+    assert list(frame.columns) == ["psnr", "run_id", "state", "train.lr"]
     pd.testing.assert_frame_equal(frame, index.load(store)[list(frame.columns)])
     assert frame["state"].tolist() == ["finished", "damaged"]
 

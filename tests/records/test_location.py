@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from qnerf.records import RunStore, StoreError, annotations, find, owner
+from qnerf.records import RunStore, StoreError, find, owner
 from qnerf.records.deletion import delete_run, holds_runs, is_run
 from qnerf.records.location import existing_store
 from tests.helpers.stores import CONFIG, claimed
@@ -49,7 +49,6 @@ def test_a_folder_with_files_of_the_same_names_is_no_run(tmp_path):
     assert not is_run(mine)
     for action in (
         lambda: delete_run(mine),
-        lambda: annotations.write_note(mine, "x"),
         lambda: RunStore(mine.parent).claim("a", CONFIG, force=True),
     ):
         with pytest.raises(StoreError, match="a: not a run"):
@@ -108,7 +107,6 @@ def test_links_are_neither_written_nor_deleted_through(store_, tmp_path):
         lambda: store_.claim("a", CONFIG),
         lambda: store_.claim("a", CONFIG, force=True),
         lambda: delete_run(store_.root / "a"),
-        lambda: annotations.write_note(store_.root / "a", "x"),
     ):
         with pytest.raises(StoreError, match="a: is a link"):
             action()

@@ -70,7 +70,7 @@ def test_fingerprint_depends_on_what_decides_the_numbers(folder):
         edited(folder, lambda t: t.update(test_filenames=["images/0.ppm"])),
         # A frame that is not used still orients the world.
         edited(folder, lambda t: t.update(train_filenames=["images/1.ppm"], test_filenames=["images/2.ppm"])),
-        build(folder, downscale=2).fingerprint,
+        build(folder, width=2).fingerprint,
     }
     unused = {"train_filenames": ["images/1.ppm"], "test_filenames": ["images/2.ppm"]}
     seen.add(edited(folder, lambda t: (t.update(unused), t["frames"][0]["transform_matrix"][0].__setitem__(3, 2.75))))

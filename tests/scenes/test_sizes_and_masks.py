@@ -119,8 +119,8 @@ def test_masked_pixels_are_not_trained_on_and_a_mask_decides_the_fingerprint(mix
 def test_a_reduced_pixel_counts_if_no_black_pixel_is_in_it(tmp_path):
     folder = write_scene(tmp_path / "scene")
     mask(folder)
-    for options, columns in (({"downscale": 2}, 1), ({"width": 4}, 1), ({"width": 5}, 2)):
-        reduced = build(folder, **options).mask
+    for width, columns in ((4, 1), (5, 2)):
+        reduced = build(folder, width=width).mask
         assert reduced is not None
         assert bool((~reduced[..., :columns]).all())
         assert bool(reduced[..., columns:].all())
@@ -205,7 +205,7 @@ def test_pixels_beyond_a_crop_radius_do_not_count(tmp_path):
     whole = {"w": 32, "h": 24, "fl_x": 16.0, "fl_y": 16.0, "cx": 16.0, "cy": 12.0, "fisheye_crop_radius": 10.0}
     change(folder, lambda t: t.update(whole))
     assert torch.equal(build(folder).mask, scene.mask)
-    assert int(build(folder, downscale=2).mask.sum()) == 6 * 4 * 4
+    assert int(build(folder, width=8).mask.sum()) == 6 * 4 * 4
     change(folder, lambda t: t.update(fisheye_crop_radius=0))
     scenes.refused("nerfstudio", folder, "fisheye_crop_radius must be above 0 pixels, got 0")
 
@@ -252,14 +252,6 @@ def test_silhouettes_say_nothing_behind_a_mask(tmp_path):
 # --- width
 
 
-def test_a_width_of_a_whole_factor_is_that_factor(tmp_path):
-    folder = write_scene(tmp_path / "scene", width=12, height=9, channels=4)
-    narrow, factor = build(folder, width=4), build(folder, downscale=3)
-    assert torch.equal(narrow.images, factor.images)
-    torch.testing.assert_close(narrow.cameras.intrinsics, factor.cameras.intrinsics)
-    assert narrow.fingerprint != factor.fingerprint
-
-
 def test_scene_width_keeps_what_is_seen(tmp_path):
     folder = write_scene(tmp_path / "scene", width=11, height=7)
     full, small = build(folder), build(folder, width=5)
@@ -288,8 +280,6 @@ def test_wider_images_are_reduced_and_the_others_stay(mixed):
     assert [scene.cameras.size(view) for view in range(6)] == [(7, 5), (6, 8), (7, 5), (7, 5), (7, 5), (6, 8)]
     with pytest.raises(ValueError, match="width=13 is more than the images have, 12 pixels"):
         build(mixed, width=13)
-    with pytest.raises(ValueError, match="set downscale or width, not both"):
-        build(mixed, width=4, downscale=2)
 
 
 # --- smaller images than the file says

@@ -13,7 +13,6 @@ from PIL import Image
 
 from qnerf.cli.errors import MAX_MESSAGE, one_line
 from qnerf.config import memory
-from qnerf.geometry.rays import RayTable
 from qnerf.scenes import images
 from qnerf.scenes.area import area_downscale
 from tests.helpers import scenes
@@ -396,23 +395,9 @@ def test_alpha_is_kept_where_there_is_any(tmp_path):
 def test_a_scene_that_does_not_fit_into_memory_is_refused_and_a_smaller_width_fits(tmp_path, monkeypatch):
     folder = write_scene(tmp_path / "scene", width=64, height=48)
     monkeypatch.setattr(memory, "available_bytes", lambda: 6 * 64 * 48 * 3)
-    refused(folder, "6 images would take", "are available; use a larger scene.downscale or a smaller scene.width")
+    refused(folder, "6 images would take", "are available; use a smaller scene.width")
     monkeypatch.setattr(images, "DECODING_BYTES", 0)
     build(folder, width=32)
-    build(folder, downscale=2)
-
-
-def test_downscaling_averages_areas_and_scales_intrinsics(tmp_path):
-    folder = write_scene(tmp_path / "scene", width=11, height=7)
-    full, small = build(folder), build(folder, downscale=3)
-    assert small.images.shape == (6, 2, 3, 3)
-    cut = full.images[:, :6, :9].double().reshape(6, 2, 3, 3, 3, 3).mean(dim=(2, 4))
-    assert float((small.images - cut).abs().max()) <= 0.5
-    assert (small.cameras.width, small.cameras.height) == (3, 2)
-    # the remainder is cut off at the right and bottom, so that corners of blocks see what they saw
-    a = RayTable(full, dtype=torch.float64).view(0).directions.view(7, 11, 3)
-    b = RayTable(small, dtype=torch.float64).view(0).directions.view(2, 3, 3)
-    torch.testing.assert_close(a[1:6:3, 1:9:3], b)  # centre of a 3 x 3 block = centre of its middle pixel
 
 
 def test_area_means_are_rounded_half_up_and_weighted_by_alpha():

@@ -1,8 +1,5 @@
 """`qnerf render`: frames against the evaluator's, files in each format, mistakes."""
 
-import json
-from pathlib import Path
-
 import imageio_ffmpeg
 import numpy as np
 import pytest
@@ -108,26 +105,10 @@ def test_long_work_is_announced_and_refused_from_a_day_on(tiny_run, tmp_path, ca
         monkeypatch.undo()
 
 
-def test_a_path_from_a_file_renders_what_it_says(tiny_run, trained, tmp_path):
-    """A frame of transforms.json, given in the world of that file, is the held-out view."""
-    scene = Path(trained.settings.scene["path"])
-    matrix = json.loads((scene / "transforms.json").read_text())["frames"][trained.scene.eval[0]]["transform_matrix"]
-    file = tmp_path / "path.json"
-    file.write_text(json.dumps({"camera_path": [{"camera_to_world": np.ravel(matrix).tolist()}]}))
-    arguments = [str(tiny_run), "--path", str(file), "--coordinates", "world", "--size", "12x8"]
-    assert main.dispatch("render", [*arguments, "--out", str(tmp_path / "frames")]) == 0
-    mine = np.asarray(Image.open(tmp_path / "frames" / "00000.png"))
-    picture = np.asarray(Image.open(next((tiny_run / "images").iterdir())))
-    factor = picture.shape[0] // 8
-    assert np.abs(mine.astype(int) - picture[::factor, 12 * factor : 24 * factor : factor]).max() <= 1
-
-
 def test_render_refuses_mistakes_in_one_line_and_writes_nothing(tiny_run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for line, message in {
-        "--path circle": "--path: expected orbit, spiral, interpolate or a file",
         "--out a.gif": "expected a name that ends in .webp or .mp4",
-        "--coordinates world": "--coordinates is for a path from a file",
     }.items():
         assert main.dispatch("render", [str(tiny_run), *line.split()]) == 2
         err = capsys.readouterr().err

@@ -186,7 +186,7 @@ def load(run: str, *overrides: str, store: str | Path = "runs") -> StoredRun:
 
 
 def runs(conditions: str = "", store: str | Path = "runs") -> pd.DataFrame:
-    """One row a run, the newest first: results, parameter counts, timings, the flat configuration, state, tags, path.
+    """One row a run, the newest first: results, parameter counts, timings, the flat configuration, state, path.
 
     conditions: as `qnerf runs` takes them, "field=qcolor seed=0,1 psnr>25".
 

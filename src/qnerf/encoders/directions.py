@@ -9,8 +9,6 @@ from qnerf.config import bounds
 from qnerf.config.bounds import NonNegativeFactor
 from qnerf.config.registry import Registry
 from qnerf.config.tensors import returned
-from qnerf.kernels.dispatch import serves
-from qnerf.kernels.harmonics import harmonics
 
 DIRECTIONS: Registry["Directions"] = Registry("directions")
 Degree = Literal[1, 2, 3, 4]
@@ -29,14 +27,6 @@ def spherical_harmonics(directions: Tensor, degree: int) -> Tensor:
     """
     if degree not in DEGREES:
         bounds.check("directions=sh: degree", degree, Degree)
-    but = "the directions need a gradient" if directions.requires_grad else None
-    if serves("spherical harmonics", directions, but=but):
-        return harmonics(directions, degree)
-    return harmonics_reference(directions, degree)
-
-
-def harmonics_reference(directions: Tensor, degree: int) -> Tensor:
-    """`spherical_harmonics` in plain PyTorch."""
     x, y, z = directions.unbind(-1)
     terms = [torch.full_like(x, 0.28209479177387814)]
     if degree > 1:

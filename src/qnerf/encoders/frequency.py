@@ -11,8 +11,7 @@ import torch
 from annotated_types import Interval
 from torch import Tensor
 
-from qnerf.config.bounds import Count, NonNegativeFactor, Seed, Share
-from qnerf.encoders.frequency_window import window_weights
+from qnerf.config.bounds import Count, NonNegativeFactor, Seed
 from qnerf.encoders.registry import ENCODERS, Encoder
 
 
@@ -31,7 +30,6 @@ class PositionalEncoding(Encoder):
         bands: number of frequencies f_b = 2^e_b, with e_b even from 0 to max_exponent.
         max_exponent: exponent of the highest band; 8 means 256 cycles across the unit cube.
         include_input: append the coordinates themselves.
-        frequency_window: share of the training after which all bands are active (`window_weights`).
 
     Sines come first, then cosines, then the input. Sines and cosines go coordinate by coordinate, low band first.
 
@@ -48,10 +46,8 @@ class PositionalEncoding(Encoder):
         bands: Count = 10,
         max_exponent: Annotated[float, Interval(ge=0, le=52)] = 8.0,
         include_input: bool = False,
-        frequency_window: Share = 0.0,
     ) -> None:
         super().__init__(in_dim)
-        self.frequency_window = frequency_window
         self.include_input = include_input
         self.out_dim = 2 * in_dim * bands + in_dim * include_input
         # No buffer: the frequencies stay float64 when the module is cast.
@@ -60,9 +56,6 @@ class PositionalEncoding(Encoder):
     def forward(self, points: Tensor) -> Tensor:
         turns = points.to(torch.float64)[..., None] * self.frequencies.to(points.device)
         encoded = sin_cos_turns(turns.flatten(-2), points.dtype)
-        weights = window_weights(len(self.frequencies), self.progress, self.frequency_window)
-        if weights is not None:
-            encoded = encoded * weights.to(encoded).repeat(2 * self.in_dim)
         return torch.cat((encoded, points), dim=-1) if self.include_input else encoded
 
 

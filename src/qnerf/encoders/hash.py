@@ -7,8 +7,6 @@ import torch
 from annotated_types import Interval
 from torch import Tensor, nn
 
-from qnerf.config.bounds import Share
-from qnerf.encoders.frequency_window import window_weights
 from qnerf.encoders.registry import ENCODERS, Encoder
 from qnerf.kernels.grid_mlp import Grid
 from qnerf.kernels.hashgrid import FINEST, hash_encode
@@ -51,7 +49,6 @@ class HashEncoder(Encoder):
         log2_table_size: log2 of the entries that one level may have.
         features: numbers per entry.
         dense: whether levels whose whole grid fits into their table are indexed directly, without collisions.
-        frequency_window: share of the training after which all levels are active (`window_weights`).
 
     The table (levels, 2^log2_table_size, features) starts from U(-1e-3, 1e-3), drawn with `generator` (default:
     PyTorch's global one).
@@ -70,7 +67,6 @@ class HashEncoder(Encoder):
         log2_table_size: Log2Size = 15,
         features: EntryFeatures = 1,
         dense: bool = True,
-        frequency_window: Share = 0.0,
     ) -> None:
         super().__init__(in_dim)
         if in_dim > 3:
@@ -79,16 +75,13 @@ class HashEncoder(Encoder):
             raise ValueError(f"max_resolution must be at least min_resolution={min_resolution}, got {max_resolution}")
         self.out_dim = levels * features
         self.dense = dense
-        self.frequency_window = frequency_window
         resolutions = torch.tensor(level_resolutions(levels, min_resolution, max_resolution))
         self.register_buffer("resolutions", resolutions, persistent=False)
         self.table = nn.Parameter(torch.empty(levels, 2**log2_table_size, features))
         nn.init.uniform_(self.table, -1e-3, 1e-3, generator=generator)
 
-    def as_grid(self) -> Grid | None:
-        """The encoder in one loop with an MLP; None unless points have 3 coordinates and all levels start active."""
-        if self.in_dim != 3 or self.frequency_window:
-            return None
+    def as_grid(self) -> Grid:
+        """The encoder of points in space in one loop with an MLP."""
         return Grid(self.table, self.resolutions, self.dense)
 
     def forward(self, points: Tensor) -> Tensor:
@@ -96,7 +89,4 @@ class HashEncoder(Encoder):
         if self.in_dim < 3:
             flat = nn.functional.pad(flat, (0, 3 - self.in_dim))
         encoded = hash_encode(flat, self.table, self.resolutions, self.dense)
-        weights = window_weights(len(self.table), self.progress, self.frequency_window)
-        if weights is not None:
-            encoded = encoded * weights.to(encoded).repeat_interleave(self.table.shape[-1])
         return encoded.view(*points.shape[:-1], self.out_dim)

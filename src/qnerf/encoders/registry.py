@@ -16,8 +16,6 @@ class Encoder(nn.Module):
     """Whether it has parameters; where not, no learning rate acts on it."""
     in_dim: int
     out_dim: int
-    progress: float = 1.0
-    """Share of the training that is done, 0 to 1; encoders with a frequency window read it."""
 
     def __init__(self, in_dim: int) -> None:
         super().__init__()

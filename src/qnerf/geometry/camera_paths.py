@@ -1,14 +1,11 @@
-"""Paths of a virtual camera through a scene: around what the cameras look at, along them, or from a file.
+"""Paths of a virtual camera through a scene: around what the cameras look at, or along them.
 
 A path is made from the camera-to-world poses (V, 3, 4) of the training views, in the normalised world with +z up.
 """
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,13 +16,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from qnerf.geometry.bounds import focus
 from qnerf.geometry.rays import rays_from
 from qnerf.scenes.base import Cameras
-from qnerf.scenes.normalise import rigid
 from qnerf.types import Rays
 
 MAX_GAP = math.pi / 2  # radians without a camera, beyond which an orbit goes back and forth
 NEARBY = math.radians(20)  # standard deviation of the weights of cameras around a direction
 KEY_VIEWS = 12  # which a path interpolates
-MAX_FILE_BYTES = 2**26
 
 
 @dataclass(frozen=True)
@@ -168,74 +163,6 @@ def _neighbours(apart: NDArray) -> list[int]:
 
 PATHS: dict[str, Callable[[NDArray, int], NDArray]] = {"orbit": orbit, "spiral": spiral, "interpolate": interpolate}
 """Name -> function of the training poses (V, 3, 4) and a number of frames F that returns poses (F, 3, 4)."""
-
-
-def read_path(file: Path, width: int, height: int, focal: float, transform: NDArray | None = None) -> list[Camera]:
-    """The cameras of a camera path as nerfstudio writes it.
-
-    The file holds `camera_path`, a list of `camera_to_world` (16 numbers, row by row, OpenGL's axes) with an optional
-    `fov`, the vertical field of view in degrees.
-
-    Args:
-        width, height: of the pictures, pixels.
-        focal: where a camera has no `fov`, pixels.
-        transform: (4, 4) similarity from the file's world to the normalised one; None: it is the normalised one.
-
-    Raises:
-        ValueError: one line that names the file and the mistake.
-    """
-    cameras = []
-    for number, node in enumerate(_entries(file)):
-        label = f"{file}: camera {number}"
-        try:
-            matrix = np.array(node["camera_to_world"], dtype=np.float64).reshape(-1, 4)
-        except (KeyError, TypeError, ValueError):
-            raise ValueError(f"{label}: expected camera_to_world with 16 numbers") from None
-        pose, _ = rigid(matrix, label)
-        if transform is not None:
-            scale = np.cbrt(np.linalg.det(transform[:3, :3]))
-            pose = (transform @ np.vstack([pose, [0, 0, 0, 1]]))[:3]
-            pose[:, :3] /= scale
-        angle = node.get("fov")
-        if angle is not None and not (isinstance(angle, (int, float)) and 0 < angle < 180):
-            raise ValueError(f"{label}: fov must be between 0 and 180 degrees, got {angle!r:.60}")
-        length = focal if angle is None else height / 2 / math.tan(math.radians(angle) / 2)
-        cameras.append(Camera(pose, length, width, height))
-    return cameras
-
-
-def _entries(file: Path) -> list[Any]:
-    try:
-        text = file.read_bytes() if file.stat().st_size <= MAX_FILE_BYTES else None
-    except OSError as error:
-        raise ValueError(f"{file} cannot be read: {error.strerror}") from error
-    if text is None:
-        raise ValueError(f"{file}: expected at most {MAX_FILE_BYTES >> 20} MiB, got more")
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{file} is no JSON: {str(error).splitlines()[0]}") from error
-    entries = content.get("camera_path") if isinstance(content, dict) else None
-    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise ValueError(f"{file}: expected a list camera_path with a camera_to_world each, as nerfstudio writes it")
-    return entries
-
-
-def path_json(cameras: list[Camera]) -> dict[str, Any]:
-    """What `read_path` reads: a camera path in the normalised world."""
-    return {
-        "camera_type": "perspective",
-        "render_width": cameras[0].width,
-        "render_height": cameras[0].height,
-        "camera_path": [
-            {
-                "camera_to_world": np.vstack([camera.pose, [0, 0, 0, 1]]).ravel().tolist(),
-                "fov": math.degrees(2 * math.atan(camera.height / 2 / camera.focal)),
-                "aspect": camera.width / camera.height,
-            }
-            for camera in cameras
-        ],
-    }
 
 
 def focal_as(cameras: Cameras, view: int, width: int, height: int) -> float:

@@ -11,10 +11,7 @@ from torch import Tensor
 from qnerf.config import memory
 from qnerf.config.tensors import returned
 from qnerf.geometry.bounds import bounds_of
-from qnerf.geometry.pose_refinement import FixedPoses, PoseRefinement
-from qnerf.kernels.dispatch import serves
-from qnerf.kernels.jit import run
-from qnerf.kernels.training_rays import GRAIN, gather_rays
+from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.scenes.base import Cameras, Scene
 from qnerf.scenes.lens import directions, image_points
 from qnerf.types import Rays
@@ -232,11 +229,6 @@ class RayTable:
 
     def batch(self, numbers: Tensor, refinement: PoseRefinement | None = None) -> tuple[Rays, Tensor]:
         """Rays and colours (R, 3 or 4) in [0, 1] of training pixels: numbers (R,) on the device, view by view."""
-        fixed = refinement is None or type(refinement) is FixedPoses
-        but = None if fixed else "refined poses"
-        but = "more directions than are kept" if self.directions is None else but
-        if serves("training rays", self.poses, but=but):
-            return self._gathered(numbers)
         views, pixels = self.training.locate(numbers)
         colors = self.colors[self.first[views] + pixels].to(self.dtype) / 255
         return self.rays(views, pixels, refinement), colors
@@ -248,20 +240,6 @@ class RayTable:
         held_out = len(self.training) // stride  # their number
         index = torch.linspace(0, held_out - 1, min(rays, held_out), dtype=torch.float64).long()
         return self.batch(sent(stride - 1 + index * stride, self.device), refinement)
-
-    def _gathered(self, numbers: Tensor) -> tuple[Rays, Tensor]:
-        """The same on the CPU and without refinement, in a compiled loop."""
-        assert self.directions is not None
-        training, count = self.training, len(numbers)
-        origins, directions = self.poses.new_empty(2, count, 3).unbind()
-        bounds = (self.poses.new_full((count, 1), value) for value in (self.near, self.far))
-        rays = Rays(origins, directions, torch.empty(count, dtype=torch.int64), *bounds)
-        colors = self.poses.new_empty(count, self.colors.shape[1])
-        unmasked = torch.empty(0, dtype=torch.int32) if training.unmasked is None else training.unmasked
-        given = (numbers, training.ends, training.views, unmasked, self.first, self.lens_of_view, self.first_direction)
-        written = (origins, directions, colors, rays.cameras)
-        run(gather_rays, count, *given, self.directions, self.poses, self.colors, *written, grain=GRAIN)
-        return rays, colors
 
     def view(self, view: int, refinement: PoseRefinement | None = None) -> Rays:
         """All H * W rays of a view, row by row."""

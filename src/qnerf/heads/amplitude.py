@@ -15,11 +15,11 @@ from qnerf.heads.unitaries import Kind, Unitaries
 from qnerf.kernels import is_transformed
 from qnerf.kernels.derivatives import is_differentiated
 from qnerf.quantum.basis import bit, z_signs
-from qnerf.quantum.circuit import EntanglingGate
 
 MAX_QUBITS = 10  # that one circuit acts on: matrices have 4^n entries
 Qubits = Annotated[int, Interval(ge=1, le=MAX_QUBITS)]
-Values = Literal["Z", "ZZ", "probabilities"]
+Values = Literal["Z", "ZZ"]
+DIRECTION = 3  # features of a colour head, the first ones, that are the view direction
 
 
 class NormalisedForms(torch.autograd.Function):
@@ -104,7 +104,8 @@ class System(nn.Module):
         """p_k = u_k^2 / sum(u^2) with u = U W x + U b: what an MLP with squares and a division costs."""
         register = self.registers[0]
         assert isinstance(register, AmplitudeRegister)
-        weight, bias = register.map()
+        weight: Tensor = register.linear.weight
+        bias: Tensor = register.linear.bias
         (unitary,) = self.unitaries()
         if unitary is not None:
             dtype = torch.promote_types(unitary.dtype, weight.dtype)
@@ -143,8 +144,6 @@ def probabilities(state: Tensor) -> Tensor:
 
 def eigenvalues(wires: int, values: Values) -> Tensor:
     """(values, 2^n): what each measured value is on each basis state."""
-    if values == "probabilities":
-        return torch.eye(2**wires)
     masks = [bit(wire, wires) for wire in range(wires)]
     if values == "ZZ":
         masks += [a | b for a, b in combinations(masks, 2)]
@@ -175,22 +174,19 @@ class AmplitudeHead(Head):
         registers: qubits of each register; the state is their tensor product. One circuit has at most 10 qubits.
             Registers of one qubit are a product state of angles, which no longer absorbs a unitary.
         encoding: of each register, see `AmplitudeRegister`; none: the wires start in |0...0>.
-        amplitudes: real or complex.
         hidden: ReLU units before the amplitudes; 0 for no such layer.
         bias: standard deviation of b at the start. W starts by He's rule.
         branch: what each register sees. joint: all features. amplitude: the last one sees the direction alone, the
             others the rest (dual-branch). bloch: the same, and the last register's qubits point in the direction
-            (`BlochRegister`), which needs color.directions=raw.
-        direction_features: how many of the first features are the view direction, where a branch sees it.
+            (`BlochRegister`). Both need color.directions=raw.
         joint: one circuit on all registers. false: every register has a circuit of its own and is measured by itself
             (parallel small circuits).
         unitary: circuit, or a control, see `Unitaries`.
-        layers: of the circuit, in each of the uploads + 1 blocks.
+        layers: of the circuit, in each of the uploads + 1 blocks: rotations and a ring of CZ.
         rotations: RY (real) or Rot (complex) on every wire in each layer.
-        entangler: CZ or CNOT, in a ring.
         uploads: RZ encodings of a second linear map of the features, behind the amplitudes.
         frequencies: factors on the encoded angles. fixed: 1. ternary: trained from 1, 3, 9, ... (arXiv:2602.23409).
-        values: Z of every wire; ZZ: also of all pairs; or the probabilities of all basis states.
+        values: Z of every wire; ZZ: also of all pairs.
         gain: factor on the values.
         readout: the last linear map. false: the first values are the outputs, times the gain.
     """
@@ -209,12 +205,10 @@ class AmplitudeHead(Head):
 
     @classmethod
     def without_effect(cls, options: Mapping[str, Any]) -> Collection[str]:
-        controls = {"local": ["entangler"], "identity": ["layers", "rotations", "entangler"]}
-        found = [] if options["unitary"] == "circuit" else controls.get(options["unitary"], ["layers", "entangler"])
+        controls = {"circuit": [], "local": [], "identity": ["layers", "rotations"]}
+        found = controls.get(options["unitary"], ["layers"])
         if options["encoding"] == "none":
-            found = [*found, "amplitudes", "hidden", "bias", "branch", "direction_features"]
-        elif options["branch"] == "joint":
-            found = [*found, "direction_features"]
+            found = [*found, "hidden", "bias", "branch"]
         if not options["uploads"]:
             found = [*found, "frequencies"]
         return found
@@ -226,16 +220,13 @@ class AmplitudeHead(Head):
         *,
         registers: Annotated[list[Qubits], MinLen(1), MaxLen(MAX_QUBITS)] = [6],  # noqa: B006
         encoding: Encoding = "normalised",
-        amplitudes: Literal["real", "complex"] = "real",
         hidden: Annotated[int, Interval(ge=0, le=2**16)] = 0,
         bias: PositiveFactor = 0.3,
         branch: Literal["joint", "amplitude", "bloch"] = "joint",
-        direction_features: Annotated[int, Interval(ge=1, le=2**16)] = 3,
         joint: bool = True,
         unitary: Kind = "circuit",
         layers: Annotated[int, Interval(ge=1, le=64)] = 4,
         rotations: Literal["RY", "Rot"] = "RY",
-        entangler: EntanglingGate = "CZ",
         uploads: Annotated[int, Interval(ge=0, le=16)] = 0,
         frequencies: Literal["fixed", "ternary"] = "fixed",
         values: Values = "ZZ",
@@ -251,13 +242,13 @@ class AmplitudeHead(Head):
             raise ValueError("encoding=none expects uploads of at least 1: else the state holds no features")
         self.gain = gain
         self.out_dim = out_dim
-        self.direction_features = direction_features if branch != "joint" and encoding != "none" else 0
+        self.direction_features = DIRECTION if branch != "joint" and encoding != "none" else 0
         if self.direction_features >= in_dim or (self.direction_features and len(registers) < 2):
             raise ValueError(
-                f"branch={branch} expects two registers and more than {direction_features} features, "
+                f"branch={branch} expects two registers and more than {DIRECTION} features, "
                 f"got registers {list(registers)} and {in_dim} features"
             )
-        options = {"encoding": encoding, "is_complex": amplitudes == "complex", "bias": bias, "hidden": hidden}
+        options = {"encoding": encoding, "bias": bias, "hidden": hidden}
         sizes = [in_dim - self.direction_features] * len(registers)
         if self.direction_features:
             sizes[-1] = self.direction_features  # the last register sees the direction alone
@@ -266,9 +257,7 @@ class AmplitudeHead(Head):
         self.systems = nn.ModuleList()
         for group in self.groups:
             wires = sum(registers[index] for index in group)
-            unitaries = Unitaries(
-                wires, uploads + 1, kind=unitary, layers=layers, rotations=rotations, entangler=entangler
-            )
+            unitaries = Unitaries(wires, uploads + 1, kind=unitary, layers=layers, rotations=rotations)
             own = [made[index] for index in group] if made else []
             self.systems.append(System(own, wires, in_dim, unitaries, frequencies, values))
         self.counts = [len(system.measured) for system in self.systems]  # type: ignore[arg-type]

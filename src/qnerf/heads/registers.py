@@ -11,12 +11,12 @@ Encoding = Literal["normalised", "softmax", "none"]
 
 
 class AmplitudeRegister(nn.Module):
-    """Features (N, in_dim) -> normalised amplitudes (N, 2^qubits), real or complex.
+    """Features (N, in_dim) -> normalised, real amplitudes (N, 2^qubits).
 
     v = W x + b, with a ReLU layer of `hidden` units before it where asked for.
 
-        normalised:  a = v / |v|                       complex: v = v' + i v''
-        softmax:     a = sqrt(softmax(v))              complex: a = sqrt(softmax(v')) exp(i v'')
+        normalised:  a = v / |v|
+        softmax:     a = sqrt(softmax(v))
 
     softmax is the Boltzmann distribution of the energies -v.
 
@@ -24,15 +24,12 @@ class AmplitudeRegister(nn.Module):
         bias: standard deviation of b at the start; W starts by He's rule.
     """
 
-    def __init__(
-        self, in_dim: int, qubits: int, *, encoding: Encoding, is_complex: bool, bias: float, hidden: int
-    ) -> None:
+    def __init__(self, in_dim: int, qubits: int, *, encoding: Encoding, bias: float, hidden: int) -> None:
         super().__init__()
         self.encoding = encoding
-        self.is_complex = is_complex
         self.qubits = qubits
         self.hidden = nn.Sequential(nn.Linear(in_dim, hidden), nn.ReLU()) if hidden else None
-        self.linear = nn.Linear(hidden or in_dim, 2**qubits * (2 if is_complex else 1))
+        self.linear = nn.Linear(hidden or in_dim, 2**qubits)
         for layer in self.modules():
             if isinstance(layer, nn.Linear) and not layer.weight.is_meta:
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
@@ -42,21 +39,12 @@ class AmplitudeRegister(nn.Module):
         """What the last linear map gets."""
         return features if self.hidden is None else self.hidden(features)
 
-    def map(self) -> tuple[Tensor, Tensor]:
-        """W (2^qubits, inputs) and b, complex where the amplitudes are."""
-        weight, bias = self.linear.weight, self.linear.bias
-        if not self.is_complex:
-            return weight, bias
-        return torch.complex(*weight.chunk(2)), torch.complex(*bias.chunk(2))
-
     def forward(self, features: Tensor) -> Tensor:
         values = self.linear(self.inputs(features))
         if self.encoding == "softmax":
-            energies, *phases = values.chunk(2, -1) if self.is_complex else (values,)
-            sizes = (energies.log_softmax(-1) / 2).exp()
-            return torch.polar(sizes, phases[0]) if phases else sizes
-        amplitudes = values / values.norm(dim=-1, keepdim=True)
-        return torch.complex(*amplitudes.chunk(2, -1)) if self.is_complex else amplitudes
+            return (values.log_softmax(-1) / 2).exp()
+        amplitudes: Tensor = values / values.norm(dim=-1, keepdim=True)
+        return amplitudes
 
 
 class BlochRegister(nn.Module):

@@ -5,7 +5,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from qnerf.quantum.circuit import Circuit, EntanglingGate
+from qnerf.quantum.circuit import Circuit
 from qnerf.quantum.unitary import blocks, layered
 
 Kind = Literal["circuit", "local", "identity", "dense", "random"]
@@ -16,7 +16,7 @@ class Unitaries(nn.Module):
 
     Args:
         kind: where the matrices come from.
-            `circuit`: layers of a rotation on every wire and a ring of entanglers, with trained angles;
+            `circuit`: layers of a rotation on every wire and a ring of CZ, with trained angles;
             `local`: the same without entanglers;
             `identity`: the identity;
             `dense`: any rotation, trained as exp(A - A^T), or any unitary, as exp(A - A^T + i (A + A^T));
@@ -26,16 +26,13 @@ class Unitaries(nn.Module):
 
     fixed: Tensor
 
-    def __init__(
-        self, wires: int, count: int, *, kind: Kind, layers: int, rotations: str, entangler: EntanglingGate
-    ) -> None:
+    def __init__(self, wires: int, count: int, *, kind: Kind, layers: int, rotations: str) -> None:
         super().__init__()
         self.kind = kind
         self.count = count
         self.is_complex = rotations == "Rot"
-        entangled = kind != "local"
-        self.layers, self.entangler, self.entangled = layers, entangler, entangled
-        self.circuit: Circuit = layered(wires, layers, uploads=count - 1, entangler=entangler, entangled=entangled)
+        self.layers, self.entangled = layers, kind != "local"
+        self.circuit: Circuit = layered(wires, layers, uploads=count - 1, entangled=self.entangled)
         size = 2**wires
         if kind in ("circuit", "local"):
             self.angles = nn.Parameter(torch.rand(count * layers, wires, 3 if self.is_complex else 1) * (2 * torch.pi))
@@ -56,4 +53,4 @@ class Unitaries(nn.Module):
         if self.kind == "dense":
             a, t = self.generator, self.generator.mT
             return list(torch.matrix_exp(torch.complex(a - t, a + t) if self.is_complex else a - t))
-        return list(blocks(self.angles, self.layers, self.entangler, self.entangled))
+        return list(blocks(self.angles, self.layers, self.entangled))

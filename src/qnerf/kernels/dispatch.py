@@ -17,7 +17,7 @@ from torch.autograd import forward_ad
 
 FLOATS = (torch.float32, torch.float64)
 
-_GRID = "levels min_resolution max_resolution log2_table_size features dense frequency_window"
+_GRID = "levels min_resolution max_resolution log2_table_size features dense"
 
 _SPACE = {
     "qnerf.geometry.contraction.CubeContraction": frozenset[str](),
@@ -36,7 +36,6 @@ _SHADINGS = {
 }
 
 LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
-    "training rays": {},
     "proposals": _SPACE | _NETWORK,
     "sample places": _SPACE,
     "hash grid": {},
@@ -45,7 +44,6 @@ LOOPS: dict[str, Mapping[str, frozenset[str]]] = {
     "drawing edges": {},
     "volume weights": {},
     "shading": _SHADINGS,
-    "spherical harmonics": {},
     "interlevel loss": {},
     "distortion loss": {},
     "circuits": {},

@@ -110,11 +110,9 @@ class Field(nn.Module):
             return None
         grid, layers = encoder.as_grid(), head.as_layers()
         but = "not linear layers with biases and ReLU between them" if layers is None else None
-        but = "frequency_window of HashEncoder" if grid is None else but
         but = "the points need a gradient" if points.requires_grad else but
         if not serves("hash grid + MLP", points, modules=(encoder, head), but=but):
             return None
-        assert grid is not None
         assert layers is not None
         return grid, layers
 

@@ -3,7 +3,6 @@
 import torch
 from torch import Tensor, nn
 
-from qnerf.encoders import Encoder
 from qnerf.geometry.pose_refinement import PoseRefinement
 from qnerf.geometry.unit_points import unit_points
 from qnerf.model.field import Field
@@ -23,10 +22,6 @@ class Model(nn.Module):
         self.sampler = sampler
         self.cameras = cameras
         self.shading = shading
-
-    @property
-    def encoder(self) -> Encoder:
-        return self.field.encoder
 
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:

@@ -133,9 +133,8 @@ def circuit_of(module: QuantumLayer | System) -> Circuit:
             ]  # fmt: skip
             used += 2
         else:
-            values = tuple(weight("w", used + index) for index in range(2**qubits * (1 + register.is_complex)))
-            wires, size = tuple(range(first, first + qubits)), 2**qubits
-            operations.append(Amplitudes(wires, values[:size], values[size:]))
+            values = tuple(weight("w", used + index) for index in range(2**qubits))
+            operations.append(Amplitudes(tuple(range(first, first + qubits)), values, ()))
             used += len(values)
         first += qubits
     for gate in unitaries.circuit.gates:

@@ -46,7 +46,7 @@ class Trained:
         Raises:
             ValueError: the checkpoint cannot be read or is not of this run. The model stays as it is.
         """
-        path, model, steps = self.folder / "checkpoint.pt", self.model, self.settings.train.steps
+        path, model = self.folder / "checkpoint.pt", self.model
         with reporting(path, "read"):
             try:
                 checkpoint = load_archive(path)
@@ -59,7 +59,7 @@ class Trained:
                 raise ValueError(f"{path}: expected the checkpoint of this run, got another: {reason}") from error
         model.load_state_dict(checkpoint["model"])
         for part in paced(model):
-            part.progress = step / steps
+            part.progress = step / self.settings.train.steps
         return replace(self, step=step)
 
     @property

@@ -6,7 +6,7 @@ It is plain PyTorch, for any device, with derivatives of any order. PennyLane is
 import torch
 from torch import Tensor
 
-from qnerf.quantum.basis import bit, cnot_permutation, cz_signs
+from qnerf.quantum.basis import bit, cz_signs
 from qnerf.quantum.circuit import Circuit, Gate, encoding, entanglers, ring, rotations
 from qnerf.quantum.expressions import Weights
 from qnerf.quantum.statevector import table
@@ -17,8 +17,8 @@ def pairs_of(wires: int, entangled: bool = True) -> tuple[tuple[int, int], ...]:
     return ring(wires, 1)[: 1 if wires == 2 else None] if entangled else ()
 
 
-def layered(wires: int, layers: int, *, uploads: int = 0, entangler: str = "CZ", entangled: bool = True) -> Circuit:
-    """Blocks of `layers` rotations on every wire, each followed by a ring; between the blocks RZ encodings.
+def layered(wires: int, layers: int, *, uploads: int = 0, entangled: bool = True) -> Circuit:
+    """Blocks of `layers` rotations on every wire, each followed by a ring of CZ; between the blocks RZ encodings.
 
     uploads: encodings; the circuit has uploads + 1 blocks. entangled=False: without the rings. Its weights `angles` are
     (rows, n, 3), block by block.
@@ -32,7 +32,7 @@ def layered(wires: int, layers: int, *, uploads: int = 0, entangler: str = "CZ",
         if row and row % layers == 0:
             operations += encoding("Z", (1.0,) * wires)
         operations += rotations(angles[row])
-        operations += entanglers(entangler, pairs_of(wires, entangled))
+        operations += entanglers("CZ", pairs_of(wires, entangled))
     observables = tuple(((wire, "Z"),) for wire in range(wires))
     return Circuit("layered", wires, tuple(operations), observables, weights=(angles,))
 
@@ -53,7 +53,7 @@ def rotation(angles: Tensor) -> Tensor:
     return rows[..., :, None] * matrix * columns[..., None, :]
 
 
-def blocks(angles: Tensor, layers: int, entangler: str = "CZ", entangled: bool = True) -> list[Tensor]:
+def blocks(angles: Tensor, layers: int, entangled: bool = True) -> list[Tensor]:
     """The matrices (2^n, 2^n) of the blocks of a `layered` circuit.
 
     Args:
@@ -71,17 +71,9 @@ def blocks(angles: Tensor, layers: int, entangler: str = "CZ", entangled: bool =
         product = matrices[:, :, None, :, None] * single[:, wire, None, :, None, :]
         matrices = product.reshape(-1, 2 * size, 2 * size)
     pairs = tuple((bit(a, wires), bit(b, wires)) for a, b in pairs_of(wires, entangled))
+    signs = table(cz_signs, pairs, wires, matrices.device, matrices.real.dtype)[:, None] if pairs else None
     parts: list[Tensor] = []
     for row, layer in enumerate(matrices.unbind(0)):
         turned = layer if row % layers == 0 else layer @ parts.pop()
-        parts.append(_entangled(turned, entangler, pairs, wires))
+        parts.append(turned if signs is None else signs * turned)
     return parts
-
-
-def _entangled(states: Tensor, gate: str, pairs: tuple[tuple[int, int], ...], wires: int) -> Tensor:
-    """The entanglers on states (2^n, ...)."""
-    if not pairs:
-        return states
-    if gate == "CZ":
-        return table(cz_signs, pairs, wires, states.device, states.real.dtype)[:, None] * states
-    return states[table(cnot_permutation, pairs, wires, states.device, None)]

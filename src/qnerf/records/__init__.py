@@ -12,14 +12,12 @@
       preview.png          truth, rendering, error and depth of one view, from while it trains
       dataparser_transforms.json  from the scene's own world to the normalised one, as nerfstudio writes it
       checkpoint.pt        and the one before it, checkpoint.prev.pt
-      annotations.json     tags and note
       owner/               who may write (`owner.py`)
     runs/.index/           what `index` read of all runs
     runs/.new-*            a folder that is being made; .deleted-*: one that is being deleted
 
 Who may write. `RunStore.claim` gives a run to one process, and only this owner writes into the folder. Everybody may
-read it at any moment. Two files are different: tags and note are changed by anyone, one after the other
-(`annotations.py`), and the index is written by whoever reads the store.
+read it at any moment. The index is written by whoever reads the store.
 
 What a reader sees. A file is never changed in place: the new version is written under a temporary name and renamed.
 pandas and DuckDB open a Parquet file twice and fail if it was replaced in between. While a run trains, use the readers

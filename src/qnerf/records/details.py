@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from qnerf.records import annotations
 from qnerf.records.files import StoreError, read_json, reporting
 from qnerf.records.read import checked_status, read_config, read_evaluation, read_status, read_summary, state
 from qnerf.records.schemas import results
@@ -40,7 +39,6 @@ def read(run_dir: str | Path) -> dict[str, Any]:
     now = "damaged" if problems else state(folder, status)
     config = attempt(read_config, folder, nothing)
     measured = {name: value for name, value in results(summary, config).items() if value is not None}
-    annotated = attempt(annotations.read, folder, annotations.Annotations())
     # A run that has just started, or that another program wrote, may lack these two.
     overrides, environment = folder / "overrides.txt", folder / "environment.json"
     return {
@@ -49,8 +47,6 @@ def read(run_dir: str | Path) -> dict[str, Any]:
         "state": now,
         "error": status.get("error") or summary.get("error"),
         "step": status.get("step", 0),
-        "tags": list(annotated.tags),
-        "note": annotated.note,
         "results": measured,
         "evaluation": attempt(lambda run: read_evaluation(run).to_dict("records"), folder, no_rows),
         "overrides": attempt(read_overrides, overrides, no_lines) if overrides.exists() else [],

@@ -25,7 +25,7 @@ import pandas as pd
 
 from qnerf.config.checks import is_number
 
-ALIASES = {"id": "run_id", "tag": "tags", "scene": "scene_name", "colour": "color"}
+ALIASES = {"id": "run_id", "scene": "scene_name", "colour": "color"}
 """Other names of columns, wherever a user names one. `scene.name` is how a scene is read."""
 HELP = "only these runs, as `qnerf runs` takes it: \"field=qcolor seed=0,1 'psnr>25'\""
 _CONDITION = re.compile(r"([^=<>!,]+)(!=|>=|<=|=|>|<)(.*)", re.DOTALL)
@@ -128,7 +128,7 @@ def there_are(frame: pd.DataFrame, filters: Sequence[Filter]) -> str:
 
 def known_values(column: pd.Series, limit: int = 8) -> str:
     """The values of a column in words: all of them, the first of many, or the range of many numbers."""
-    values = (column.explode() if column.name == "tags" else column).dropna()
+    values = column.dropna()
     distinct = sorted(values.unique(), key=lambda value: (str(type(value)), value))
     if len(distinct) > limit and pd.api.types.is_numeric_dtype(values):
         return f"{values.min():.6g} to {values.max():.6g}"

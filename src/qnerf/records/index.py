@@ -1,9 +1,8 @@
 """One table of all runs of a store. It reads only the runs that changed since the last time.
 
-A run's row comes from its summary.parquet, status.json and annotations.json. The index on disk, `.index/runs.json`,
-holds for each run a stamp of its files (modification time, size and inode) and its row. A run is read again unless its
-stamp is still the same. Stamps are taken before reading. Whether a run that says "running" is
-alive is found out every time.
+A run's row comes from its summary.parquet and status.json. The index on disk, `.index/runs.json`, holds for each run a
+stamp of its files (modification time, size and inode) and its row. A run is read again unless its stamp is still the
+same. Stamps are taken before reading. Whether a run that says "running" is alive is found out every time.
 
 Several processes may refresh the index at once. Each writes a correct one, and the last one stays. A store that cannot
 be written has no index: all runs are read each time.
@@ -20,7 +19,7 @@ import pandas as pd
 from pandas.api.types import infer_dtype
 
 from qnerf.config.identity import is_unicode
-from qnerf.records import annotations, read
+from qnerf.records import read
 from qnerf.records.files import StoreError, read_json, replace
 from qnerf.records.location import existing_store
 from qnerf.records.schemas import RUN_COLUMNS, known_kind
@@ -43,7 +42,7 @@ def load(store: str | Path, columns: Sequence[str] | None = None) -> pd.DataFram
     state: running | finished | interrupted | failed, or damaged if summary.parquet or status.json cannot be
     read, or the folder is a copy of another run. error: why the run failed, or what is damaged. path: the run's
     folder. scene_name: the last part of scene.path, or the scene's name, or "none". step: the last one logged.
-    created, heartbeat: Unix times. tags: a tuple. note: text.
+    created, heartbeat: Unix times.
 
     A column with numbers in some runs and text in others is text.
 
@@ -72,7 +71,7 @@ def scan(root: Path) -> Stamps:
 def _stamp(folder: str) -> str:
     """Empty if the folder is not a run."""
     parts = []
-    for file in (*read.RUN_MARKERS, annotations.FILE):
+    for file in read.RUN_MARKERS:
         try:
             status = os.stat(f"{folder}{os.sep}{file}")
         except FileNotFoundError:
@@ -99,9 +98,6 @@ def _row(folder: Path) -> Row | None:
         damage = str(error)
     if not folder.is_dir():
         return None
-    annotated = annotations.Annotations()
-    with contextlib.suppress(StoreError):
-        annotated = annotations.read(folder)
     stored = status.get("state")
     name = folder.name.encode(errors="backslashreplace").decode()
     damage = damage if is_unicode(folder.name) else f"{name}: expected a folder whose name is UTF-8; rename it"
@@ -111,8 +107,6 @@ def _row(folder: Path) -> Row | None:
         "error": damage or status.get("error") or summary.get("error"),
         "path": None,  # the store may be moved
         **{name: status.get(name) for name in ("step", "created", "heartbeat")},
-        "tags": annotated.tags,
-        "note": annotated.note or None,
     }
     return summary | own
 
@@ -130,7 +124,6 @@ def _frame(root: Path, rows: Sequence[Row], columns: Sequence[str] | None) -> pd
     own = {
         "state": lambda row: _true_state(root / row["run_id"], row["state"]),
         "path": lambda row: str(root / row["run_id"]),
-        "tags": lambda row: tuple(row["tags"]),
     }
     for name in own.keys() & names:
         frame[name] = pd.Series(list(map(own[name], rows)), index=frame.index, dtype=object)

@@ -37,7 +37,7 @@ LABELS = ("field", "encoder", "qiren", "hash", "density", "color", "head", "samp
 RECORDED = ("scene.path", "train.name", "train.eval_every", "train.eval_views", "train.log_every")
 """Options that a run keeps but its id does not hash: the scene's place, the recipe's name, and what is measured how
 often."""
-RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat", "tags", "note")
+RUN_COLUMNS = ("run_id", "state", "error", "path", "step", "created", "heartbeat")
 """Columns of the table of all runs that do not come from the summary, even if it has values with these names."""
 _HEAD_NUMBERS = ("mlp.layers", "mlp.width", "qiren.layers", "qiren.spectral", "qiren.qubits")
 NUMBERS = ("seed", "train.steps", *(f"{head}.{name}" for head in ("density", "color") for name in _HEAD_NUMBERS))

@@ -67,7 +67,7 @@ class RunStore:
         config: resolved, plain values. overrides: what the user typed. columns: further columns of summary.parquet,
         there from the start, as `Run.write_summary` takes them. types: dotted option -> "int", "float", "bool" or
         "text", the type of its column; other options are float64, bool or text. force: throw away the results of a
-        finished or interrupted run and start again; its tags, its note and what a user has put into its folder stay.
+        finished or interrupted run and start again; what a user has put into its folder stays.
 
         Raises:
             ValueError: not a run id, or an option is not of its type.

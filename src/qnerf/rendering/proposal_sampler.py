@@ -39,9 +39,7 @@ class ProposalNetwork(nn.Module):
     @property
     def parts(self) -> tuple[Grid, list[Layer]]:
         """What a compiled loop takes of it."""
-        grid = self.encoder.as_grid()
-        assert grid is not None, "three dimensions, and all levels are active"
-        return grid, [Layer(layer.weight, layer.bias) for layer in (self.hidden, self.out)]
+        return self.encoder.as_grid(), [Layer(layer.weight, layer.bias) for layer in (self.hidden, self.out)]
 
     def inside(self, points: Tensor, inside: Tensor | None) -> Tensor:
         """The same in a compiled loop; the density is 0 at points that are not `inside` (N,)."""

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from qnerf.config import bounds, memory
-from qnerf.scenes.area import area_downscale, area_means, area_resize
+from qnerf.config import memory
+from qnerf.scenes.area import area_means, area_resize
 from qnerf.scenes.base import digest
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")  # other decoders may run programs, or read no picture
 DECODERS = 4  # images decoded at a time
-REDUCE = "use a larger scene.downscale or a smaller scene.width"
+REDUCE = "use a smaller scene.width"
 DECODING_BYTES = 48  # memory for a pixel of a file while it is decoded and reduced
 
 
@@ -55,31 +55,18 @@ def open_header(folder: Path, path: Path) -> ImageFile:
         raise ValueError(f"{folder}: image {name!r} cannot be read: {_reason(error)}") from error
 
 
-def check_downscale(label: str, downscale: int, width: int, height: int) -> None:
-    """ValueError unless `downscale` leaves at least one pixel."""
-    bounds.check(f"{label}: downscale", downscale, bounds.PositiveInt)
-    if downscale > min(width, height):
-        raise ValueError(f"{label}: downscale={downscale} is larger than the images, {width} x {height} pixels")
-
-
-def reduced_sizes(label: str, files: Sequence[ImageFile], downscale: int, width: int | None) -> list[tuple[int, int]]:
+def reduced_sizes(label: str, files: Sequence[ImageFile], width: int | None) -> list[tuple[int, int]]:
     """Width and height to which each image is reduced.
 
     Args:
         label: of the scene, for messages.
-        downscale: the factor of all images; a remainder is dropped.
-        width: that of images which are wider, in pixels; the others stay as they are. None: `downscale` decides.
+        width: that of images which are wider, in pixels; the others stay as they are. None: all do.
 
     Raises:
-        ValueError: both options are set, or one leaves no pixel or no smaller image.
+        ValueError: no image is as wide.
     """
-    if width is None:
-        for file in files:
-            check_downscale(label, downscale, file.width, file.height)
-        return [(file.width // downscale, file.height // downscale) for file in files]
-    if downscale != 1:
-        raise ValueError(f"{label}: set downscale or width, not both, got downscale={downscale} and width={width}")
     widest = max(file.width for file in files)
+    width = widest if width is None else width
     if width > widest:
         raise ValueError(
             f"{label}: width={width} is more than the images have, {widest} pixels; use scene.width={widest} or less"
@@ -91,7 +78,7 @@ def reduced_sizes(label: str, files: Sequence[ImageFile], downscale: int, width:
 
 
 def read_images(
-    folder: Path, files: Sequence[ImageFile], sizes: Sequence[tuple[int, int]], downscale: int
+    folder: Path, files: Sequence[ImageFile], sizes: Sequence[tuple[int, int]]
 ) -> tuple[NDArray[np.uint8], list[str]]:
     """Decodes and reduces the images: (V, H, W, 3 or 4) uint8, and a hash of each file. Images of differing size are
     (P, 3 or 4), view after view.
@@ -99,8 +86,7 @@ def read_images(
     There are 4 channels if any pixel of any image is not opaque.
 
     Args:
-        sizes: width and height to which each image is reduced.
-        downscale: reduce by this factor; 1: to `sizes`, by the exact shares of the pixels' areas.
+        sizes: width and height to which each image is reduced, by the exact shares of the pixels' areas.
 
     Raises:
         ValueError: an image does not decode (the message names it), or together they need too much memory.
@@ -114,7 +100,7 @@ def read_images(
     def read(view: int) -> tuple[str, bool]:
         """Fills the view's pixels; returns the file's hash, and whether all pixels are opaque."""
         data, pixels = _decode(folder, files[view], _pixels)
-        pixels = area_downscale(pixels, downscale) if downscale > 1 else area_resize(pixels, *sizes[view])
+        pixels = area_resize(pixels, *sizes[view])
         flat = pixels.reshape(-1, pixels.shape[-1])
         target = images[ends[view] - len(flat) : ends[view]]
         target[:, : flat.shape[1]] = flat
@@ -135,7 +121,6 @@ def read_masks(
     masks: Sequence[Mask | None],
     radii: Sequence[float | None],
     sizes: Sequence[tuple[int, int]],
-    downscale: int,
 ) -> tuple[NDArray[np.bool_] | None, list[str | None]]:
     """The masks in the arrangement of `read_images` without channels, and a hash of each; None without any mask.
 
@@ -156,10 +141,10 @@ def read_masks(
         if radius is not None:
             y, x = np.ogrid[: file.height, : file.width]
             outside = np.hypot(x + 0.5 - file.width / 2, y + 0.5 - file.height / 2) > radius
-            counts &= _counting(outside, file, size, downscale)
+            counts &= _counting(outside, size)
         if mask is not None:
             excluded, content = _excluded(folder, file, mask)
-            counts &= _counting(excluded, file, size, downscale)
+            counts &= _counting(excluded, size)
         parts.append(counts)
         hashes.append(content)
     return _stacked(np.concatenate(parts), sizes), hashes
@@ -188,13 +173,9 @@ def _excluded(folder: Path, file: ImageFile, mask: Mask) -> tuple[NDArray[np.boo
     return (~left_out, digest("inverted", data)) if mask.inverted else (left_out, digest(data))
 
 
-def _counting(excluded: NDArray[np.bool_], file: ImageFile, size: tuple[int, int], downscale: int) -> NDArray[np.bool_]:
+def _counting(excluded: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
     """Which pixels of the reduced image, row by row, cover no part of what is excluded."""
-    width, height = size
-    share = excluded.astype(np.float32)[..., None]
-    if downscale > 1:
-        share = area_means(share, file.width, file.height)[: height * downscale, : width * downscale]
-    return area_means(share, width, height).reshape(-1) == 0
+    return area_means(excluded.astype(np.float32)[..., None], *size).reshape(-1) == 0
 
 
 def _decode(folder: Path, file: ImageFile, pixels: Callable[[Image.Image], NDArray[Any]]) -> tuple[bytes, NDArray[Any]]:

@@ -53,13 +53,12 @@ class Capture:
 
 
 def load_scene(
-    capture: Capture, downscale: int, width: int | None, *, skip_missing: bool = False, eval_every: int | None = None
+    capture: Capture, width: int | None, *, skip_missing: bool = False, eval_every: int | None = None
 ) -> Scene:
     """The scene with its images, reduced.
 
     Args:
-        downscale: integer factor by which images are reduced.
-        width: that of images which are wider, in pixels; None: `downscale` decides.
+        width: that of images which are wider, in pixels; None: images stay as they are.
         skip_missing: leave out images whose file is missing.
         eval_every: every so many views one is held out, the first view among them; None: 10 % of the views.
 
@@ -74,14 +73,14 @@ def load_scene(
     used, train, held_out = used_views(folder, posed, eval_every)
     views = with_masks(capture.folder, [posed[index] for index in used])
     files = [open_header(folder, image.file) for image in views if image.file is not None]
-    sizes = reduced_sizes(f"scene={name}", files, downscale, width)
+    sizes = reduced_sizes(f"scene={name}", files, width)
     lenses, table, fisheye = read_lenses(capture.source, views, files)
-    images, hashes = read_images(folder, files, sizes, downscale)
+    images, hashes = read_images(folder, files, sizes)
     radii = [
         lens[CROP] * file.width / (lens.get("w") or file.width) if CROP in lens else None
         for lens, file in zip(lenses, files, strict=True)
     ]
-    mask, mask_hashes = read_masks(folder, files, [image.mask for image in views], radii, sizes, downscale)
+    mask, mask_hashes = read_masks(folder, files, [image.mask for image in views], radii, sizes)
     contents = [
         {"frame": index, "image": file.name, "content": content, "lens": lens}
         | ({"mask": black} if black else {})
@@ -91,7 +90,7 @@ def load_scene(
         )
     ]
     full = np.array([(file.width, file.height) for file in files])
-    table[:, :4] = table[:, :4] / downscale if width is None else table[:, :4] * np.tile(np.array(sizes) / full, 2)
+    table[:, :4] *= np.tile(np.array(sizes) / full, 2)
     scale = float(np.linalg.norm(transform[:3, 0]))
     near, far = (None, None) if capture.bounds is None else (bound * scale for bound in capture.bounds)
     return Scene(
@@ -101,7 +100,7 @@ def load_scene(
         train=train,
         eval=held_out,
         names=[file.name for file in files],
-        fingerprint=fingerprint(name, posed, contents, train, held_out, downscale, width),
+        fingerprint=fingerprint(name, posed, contents, train, held_out, width),
         transform=torch.from_numpy(transform),
         near=near,
         far=far,
@@ -299,7 +298,6 @@ def fingerprint(
     views: Sequence[Mapping[str, Any]],
     train: Sequence[int],
     held_out: Sequence[int],
-    downscale: int,
     width: int | None = None,
 ) -> str:
     """A hash of what the scene is read from. Nothing in it was computed, so every machine finds the same.
@@ -317,6 +315,6 @@ def fingerprint(
         "views": views,
         "train": train,
         "held_out": held_out,
-        "downscale": downscale,
+        "downscale": 1,  # an option that is gone
     } | ({} if width is None else {"width": width})
     return digest("scene", FINGERPRINT, json.dumps(content, sort_keys=True, allow_nan=False))

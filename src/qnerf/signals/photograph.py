@@ -53,7 +53,7 @@ class Photograph(Lattice):
     ) -> None:
         file = picture_file(path)
         header = open_header(file.parent, file)
-        images, hashes = read_images(file.parent, [header], [(header.width, header.height)], 1)
+        images, hashes = read_images(file.parent, [header], [(header.width, header.height)])
         image = Image.fromarray(images[0, ..., :3])
         self.name = Path(path).name
         self.fingerprint = hashes[0]

@@ -5,7 +5,6 @@ Pictures come in steps: a coarse one at once, which a moving camera keeps replac
 
 import contextlib
 import io
-import json
 import math
 import socket
 import threading
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from qnerf.geometry.camera_paths import Camera, path_json
+from qnerf.geometry.camera_paths import Camera
 from qnerf.records import StoreError
 from qnerf.viewing.frames import Renderer
 from qnerf.viewing.guard import Guard
@@ -66,7 +65,6 @@ class Client(threading.Thread):
         self.version = 0
         self.news = threading.Event()
         self.open = True
-        self.keys: list[Camera] = []  # of a path that the user collects
 
     def changed(self, *_: Any) -> None:
         """Redraws."""
@@ -100,13 +98,6 @@ class Client(threading.Thread):
     def _show(self, picture: NDArray) -> None:
         if self.open:
             self.client.scene.set_background_image(picture, format="jpeg", jpeg_quality=90)
-
-    def add_key(self, *_: Any) -> None:
-        self.keys.append(self.camera(self.viewer.widths[-1]))
-
-    def save_path(self, *_: Any) -> None:
-        if self.keys:
-            self.client.send_file_download("camera_path.json", json.dumps(path_json(self.keys)).encode())
 
 
 def camera_of(wxyz: NDArray, position: NDArray, fov: float, aspect: float, width: int) -> Camera:
@@ -174,14 +165,7 @@ class Viewer:
         self.cameras = gui.add_checkbox("cameras", True)
         self.what.on_update(lambda _: self._changed())
         self.cameras.on_update(lambda _: self._show_cameras())
-        with gui.add_folder("camera path"):
-            gui.add_button("add this camera").on_click(lambda event: self._of(event).add_key())
-            gui.add_button("save for qnerf render").on_click(lambda event: self._of(event).save_path())
         self.text.content = self.painter.text()
-
-    def _of(self, event: Any) -> Client:
-        """The client whose user did something."""
-        return self.clients[event.client.client_id]
 
     def _add_cameras(self) -> None:
         scene = self.painter.renderer.trained.scene

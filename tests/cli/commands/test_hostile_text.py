@@ -1,4 +1,4 @@
-"""Names, tags, notes, errors and configurations that somebody else wrote: shown as they are, never obeyed."""
+"""Names, errors and configurations that somebody else wrote: shown as they are, never obeyed."""
 
 import json
 
@@ -58,7 +58,6 @@ def test_json_is_ascii_and_strict(value):
 def poison(run):
     """The text in every place of a run's folder that a command shows."""
     text = HOSTILE
-    (run / "annotations.json").write_text(json.dumps({"tags": [text, "fine"], "note": f"{text}\n{text}"}))
     status = json.loads((run / "status.json").read_text())
     (run / "status.json").write_text(json.dumps(status | {"error": text, "host": text, "state": "failed"}))
     (run / "overrides.txt").write_text(f"scene.path={text}\n")
@@ -73,8 +72,8 @@ def poison(run):
 
 
 COMMANDS = (
-    "show aaaa", "show aaaa --config", "show aaaa --json", "diff aaaa bbbb", "diff aaaa bbbb --json", "tag aaaa",
-    "tag aaaa --remove x", "runs", "runs --json", "runs --columns scene.path",
+    "show aaaa", "show aaaa --config", "show aaaa --json", "diff aaaa bbbb", "diff aaaa bbbb --json",
+    "runs", "runs --json", "runs --columns scene.path",
 )  # fmt: skip
 
 
@@ -87,5 +86,5 @@ def test_commands_show_hostile_text_and_do_not_obey(store, qnerf, terminal, widt
     for line in COMMANDS:
         done = qnerf(*line.split())
         assert harmless(done.out + done.err), line
-        if line in ("show aaaa", "tag aaaa"):
+        if line == "show aaaa":
             assert "[red]red[/red]" in done.out, line

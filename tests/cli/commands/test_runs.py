@@ -13,11 +13,10 @@ def ids(done):
 
 
 def test_runs_is_plain_text_with_full_ids_in_a_pipe(store, qnerf):
-    qnerf("tag", "aaaa", "good", "base")
     titles, *lines = (line.split() for line in qnerf("runs", "--sort", "psnr").out.splitlines())
     assert titles == [
         "id", "state", "scene_name", "field", "encoder", "color", "params", "heads", "PSNR", "SSIM", "steps", "time",
-        "age", "tags", "error",
+        "age", "error",
     ]  # fmt: skip
     assert all(len(line) == len(titles) for line in lines)
     rows = {line[0]: dict(zip(titles, line, strict=True)) for line in lines}
@@ -26,7 +25,6 @@ def test_runs_is_plain_text_with_full_ids_in_a_pipe(store, qnerf):
     assert [first[title] for title in titles[1:12]] == [
         "finished", "poster", "qcolor", "hash", "1L2S", "1234", "234", "21.50", "0.500", "40", "1m40s",
     ]  # fmt: skip
-    assert first["tags"] == "base,good"
     assert rows["poster-classical-s0-bbbbbbbbbb"]["color"] == "3x64"
     failed = rows["poster-qcolor-s1-cccccccccc"]
     assert [failed[title] for title in ("state", "PSNR", "steps", "error")] == ["failed", "-", "20/40", "loss_is_NaN"]
@@ -35,10 +33,8 @@ def test_runs_is_plain_text_with_full_ids_in_a_pipe(store, qnerf):
 
 
 def test_runs_takes_filters_an_order_and_a_limit(store, qnerf):
-    qnerf("tag", "aaaa", "good")
     for line, found in {
         "psnr=none state!=damaged": "dc",
-        "tag=good": "a",
         "--sort psnr --reverse --limit 2": "ab",
         "--sort id --limit 1": "b",
         "--sort state state!=finished": "ecd",
@@ -48,7 +44,7 @@ def test_runs_takes_filters_an_order_and_a_limit(store, qnerf):
 
 def test_runs_as_json_has_numbers_in_full_and_null_for_none(store, qnerf):
     found = {row["run_id"][-1]: row for row in qnerf("runs", "--json", "--columns", "train.lr").json}
-    assert (found["a"]["psnr"], found["a"]["train.lr"], found["a"]["tags"]) == (21.5, 0.01, [])
+    assert (found["a"]["psnr"], found["a"]["train.lr"]) == (21.5, 0.01)
     assert found["c"]["psnr"] is None
     assert found["e"]["state"] == "damaged"
     assert len(qnerf("runs", "--json", "--all-columns").json[0]) > len(found["a"])
@@ -59,9 +55,9 @@ def test_runs_prints_ids_alone(store, qnerf):
 
 
 def test_runs_shows_further_columns(store, qnerf):
-    line = qnerf("runs", "--columns", "seed,train.lr,note", "aaaa").out.splitlines()
-    assert line[0].split()[-3:] == ["seed", "train.lr", "note"]
-    assert line[1].split()[-3:] == ["0", "0.01", "-"]
+    line = qnerf("runs", "--columns", "seed,train.lr,heartbeat", "aaaa").out.splitlines()
+    assert line[0].split()[-3:] == ["seed", "train.lr", "heartbeat"]
+    assert line[1].split()[-3:-1] == ["0", "0.01"]
     assert "scene.name" in qnerf("runs", "--all-columns").out.splitlines()[0].split()
 
 

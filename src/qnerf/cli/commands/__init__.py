@@ -28,11 +28,10 @@ GROUPS = {
         "export": "points of a model's surfaces",
     },
     "organise runs": {
-        "tag": "add or remove a run's tags, write its note",
         "rm": "delete runs",
     },
     "measure a trained model": {
-        "probe": "finite shots, noisy gates, spectra, dead units, costs",
+        "probe": "finite shots, noisy gates, dead units, costs",
     },
     "analyse a store of runs": {
         "serve": "a page in the browser that follows the store while runs train",

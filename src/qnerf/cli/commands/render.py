@@ -1,4 +1,4 @@
-"""`qnerf render RUN --path orbit|spiral|interpolate|FILE`."""
+"""`qnerf render RUN --path orbit|spiral|interpolate`."""
 
 import argparse
 import re
@@ -32,19 +32,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_run(parser)
     add_overrides(parser)
     parser.add_argument(
-        "--path", default="interpolate", metavar="PATH",
-        help="orbit (around what the cameras look at), spiral (around one camera), interpolate (through the training "
-        "cameras), or a file: a camera path of nerfstudio (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--coordinates", choices=("model", "world"),
-        help="of the file: the normalised world, as viewers write it, or that of transforms.json (default: model)",
+        "--path", choices=NAMES, default="interpolate",
+        help="orbit (around what the cameras look at), spiral (around one camera), or interpolate (through the "
+        "training cameras; the default)",
     )  # fmt: skip
     parser.add_argument(
         "--size", type=size, metavar="WxH", help="pixels (default: as the photographs, longer side 256)"
     )
     parser.add_argument(
-        "--frames", type=whole(1, MAX_FRAMES), metavar="N", help="number of pictures of a path (default: 120)"
+        "--frames", type=whole(1, MAX_FRAMES), metavar="N", default=120, help="number of pictures (default: 120)"
     )
     parser.add_argument("--fps", type=number(1, 240), default=24.0, metavar="N", help="frames a second (default: 24)")
     parser.add_argument(
@@ -63,21 +59,13 @@ def size(text: str) -> tuple[int, int]:
 
 def main(options: argparse.Namespace) -> None:
     run = find(options.run, options.store)
-    is_file = options.path not in NAMES
-    if is_file and not Path(options.path).is_file():
-        raise ValueError(f"--path: expected {', '.join(NAMES)} or a file, got {options.path!r:.200}, which is no file")
-    if is_file and options.frames:
-        raise ValueError("--frames: a file says how many frames there are")
-    if options.coordinates and not is_file:
-        raise ValueError("--coordinates is for a path from a file")
 
     from qnerf.cli.stored import load_stored
     from qnerf.training.forecast import announced
     from qnerf.viewing import video
     from qnerf.viewing.frames import Renderer
 
-    name = Path(options.path).stem if is_file else options.path
-    out = options.out or Path("renders") / f"{run.name}-{name}{'-depth' * (options.what == 'depth')}.webp"
+    out = options.out or Path("renders") / f"{run.name}-{options.path}{'-depth' * (options.what == 'depth')}.webp"
     trained = load_stored(run, options.overrides)
     renderer = Renderer(trained)
     cameras = cameras_of(trained, renderer, options)
@@ -98,15 +86,12 @@ def main(options: argparse.Namespace) -> None:
 
 def cameras_of(trained: "Trained", renderer: "Renderer", options: argparse.Namespace) -> "list[Camera]":
     """The cameras of the path that the user asked for."""
-    from qnerf.geometry.camera_paths import PATHS, Camera, read_path
+    from qnerf.geometry.camera_paths import PATHS, Camera
 
     scene = trained.scene
     wide, high = scene.cameras.all_sizes[scene.train].double().median(0).values.tolist()
     usual = (round(length * LONGER_SIDE / max(wide, high) / 2) * 2 for length in (wide, high))
     width, height = options.size or tuple(max(2, side) for side in usual)
     focal = renderer.focal(width, height)
-    if options.path not in NAMES:
-        transform = scene.transform.numpy() if options.coordinates == "world" else None
-        return read_path(Path(options.path), width, height, focal, transform)
-    poses = PATHS[options.path](scene.cameras.poses.numpy()[scene.train], options.frames or 120)
+    poses = PATHS[options.path](scene.cameras.poses.numpy()[scene.train], options.frames)
     return [Camera(pose, focal, width, height) for pose in poses]

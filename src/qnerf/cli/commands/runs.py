@@ -22,7 +22,7 @@ MOST_OWN = 3  # results of tracked runs that are shown unasked
 EPILOG = """filters (a run must match all of them):
   qcolor-hashC5              a part of the id
   field=qcolor,qboth         a column has one of the values
-  state=failed  tag=good     so do states and tags
+  state=failed               so do states
   scene.path=*fox*           patterns with * and ?
   'psnr>25'  'seed!=0'       numbers compare; quote them for the shell
 Columns are those of summary.parquet: results and the flat configuration (`qnerf runs --json --all-columns`)."""
@@ -139,11 +139,9 @@ def counts(frame: pd.DataFrame, shown: int) -> str:
 
 
 def columns(rows: Sequence[Row], extra: Sequence[str] = ()) -> list[Column]:
-    """The usual columns that some run fills, and `extra`; tags and errors only if a run has some."""
+    """The usual columns that some run fills, and `extra`; errors only if a run has some."""
     usual = [column for column in COLUMNS if any(column.cell(row) != "-" for row in rows)]
     usual += [_extra(name, rows) for name in extra]
-    if any(row.get("tags") for row in rows):
-        usual.append(Column("tags", tags, rank=5, style=lambda row: "magenta"))
     if any(not missing(row.get("error")) for row in rows):
         usual.append(Column("error", _cell("error"), rank=6, style=lambda row: "red", limit=60))
     return usual
@@ -161,10 +159,6 @@ def steps(row: Row) -> str:
     if missing(step):
         return "-"
     return count(step) if missing(last) or step == last else f"{count(step)}/{count(last)}"
-
-
-def tags(row: Row) -> str:
-    return ",".join(row.get("tags") or [])
 
 
 def _cell(name: str) -> Callable[[Row], str]:
@@ -208,5 +202,5 @@ COLUMNS = (
 
 NEEDED = (
     "run_id", "state", "error", "field", "encoder", "density", "color", "params.total", *HEAD_PARAMETERS,
-    "psnr", "ssim", "scene_name", "step", "train.steps", "train_s", "created", "tags", "path",
+    "psnr", "ssim", "scene_name", "step", "train.steps", "train_s", "created", "path",
 )  # fmt: skip

@@ -16,7 +16,6 @@ from qnerf.config.checks import is_number
 from qnerf.config.identity import flatten
 from qnerf.metrics import Metric, metric_of, shown_quality
 from qnerf.records import details, find
-from qnerf.records.annotations import NOTE_LENGTH
 from qnerf.records.printable import printable
 from qnerf.records.schemas import is_own
 
@@ -25,7 +24,7 @@ Run = dict[str, Any]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Everything about one run: state, results, held-out views, environment, tags, note."
+    parser.description = "Everything about one run: state, results, held-out views, environment."
     add_run(parser)
     parser.add_argument("--config", action="store_true", help="the whole configuration too")
     parser.add_argument("--json", action="store_true", help="all of it as one object")
@@ -60,11 +59,6 @@ def _head(out: Console, run: Run) -> None:
         out.print(styled(problem, "red", 2000), soft_wrap=True)
     if run["overrides"]:
         pair(out, "overrides", " ".join(run["overrides"]))
-    if run["tags"]:
-        pair(out, "tags", ", ".join(run["tags"]), "magenta")
-    if run["note"]:
-        note = printable(run["note"], NOTE_LENGTH, lines=True)
-        pair(out, "note", note, lines=True)
 
 
 def state_line(run: Run) -> Text:
@@ -147,9 +141,9 @@ def _section(out: Console, title: str, more: str = "") -> None:
     out.print(Text.assemble((title, "bold cyan"), f"  {printable(more)}" if more else ""), soft_wrap=True)
 
 
-def pair(out: Console, name: str, text: str, style: str = "", lines: bool = False) -> None:
+def pair(out: Console, name: str, text: str) -> None:
     """A name and its text, which is wrapped beside the name on a terminal."""
-    body = Text(text if lines else printable(text), style)
+    body = Text(printable(text))
     if not out.is_terminal:
         out.print(Text(f"  {name:<10} {body.plain}"), soft_wrap=True)
         return

@@ -19,7 +19,6 @@ FORMATS["blender"] = tuple(FILES.values())
 def blender(
     *,
     path: str | Path,
-    downscale: Count = 1,
     width: Count | None = None,
     eval_split: Literal["test", "val"] = "test",
     eval_views: PositiveInt | None = None,
@@ -33,7 +32,6 @@ def blender(
 
     Args:
         path: the folder.
-        downscale: integer factor by which images are reduced, with an area filter.
         width: that of images which are wider, in pixels; the area filter reduces them to it.
         eval_split: test or val.
         eval_views: number of evaluation views, evenly spread over the split; None for all.
@@ -43,7 +41,7 @@ def blender(
         ValueError: one line that names the mistake and the file or frame.
     """
     capture = read_splits(SceneFolder(path), eval_split, eval_views, skip_missing)
-    return load_scene(capture, downscale, width, skip_missing=skip_missing)
+    return load_scene(capture, width, skip_missing=skip_missing)
 
 
 def read_splits(folder: SceneFolder, eval_split: str, eval_views: int | None, skip_missing: bool) -> Capture:

@@ -46,7 +46,6 @@ def colmap(
     path: str | Path,
     images: str = "images",
     model: str | None = None,
-    downscale: Count = 1,
     width: Count | None = None,
     eval_every: Count | None = 8,
     skip_missing: bool = False,
@@ -62,7 +61,6 @@ def colmap(
             images_4 and images_8 are searched. Smaller images than the model's are fine, and another suffix.
         model: folder of the model inside `path`; None: sparse/0, sparse, colmap/sparse/0, or `path` itself. The largest
             is read of sparse/0, sparse/1 and so on.
-        downscale: integer factor by which images are reduced, with an area filter.
         width: that of images which are wider, in pixels; the area filter reduces them to it.
         eval_every: every so many views one is held out, the first view among them; None: 10 % of the views.
         skip_missing: leave out posed photographs that are missing.
@@ -85,7 +83,7 @@ def colmap(
     posed.sort(key=lambda image: image.name)
     top = place.relative_to(folder.path).parts[:1] or tuple(file.name for file in place.glob("*.*"))
     capture = Capture("colmap", folder, place, posed, remarks=[*others, *content["remarks"]], read=top)
-    return load_scene(capture, downscale, width, skip_missing=skip_missing, eval_every=eval_every)
+    return load_scene(capture, width, skip_missing=skip_missing, eval_every=eval_every)
 
 
 def posed_image(folder: SceneFolder, images: str, frame: dict[str, Any], points: NDArray | None = None) -> PosedImage:

@@ -24,7 +24,6 @@ def llff(
     *,
     path: str | Path,
     images: str = "images",
-    downscale: Count = 1,
     width: Count | None = None,
     eval_every: Count | None = 8,
 ) -> Scene:
@@ -37,7 +36,6 @@ def llff(
         path: the folder.
         images: folder of the images inside `path`, such as images_4; where it is missing, images_2, images_4 and
             images_8 are tried. Smaller images than the file's are fine.
-        downscale: integer factor by which images are reduced, with an area filter.
         width: that of images which are wider, in pixels; the area filter reduces them to it.
         eval_every: every so many views one is held out, the first view among them; None: 10 % of the views.
 
@@ -57,7 +55,7 @@ def llff(
     listed = [posed_image(folder, image, row) for image, row in zip(found, table, strict=True)]
     posed, remarks, read = with_lenses(folder, listed)
     capture = Capture("llff", folder, file, posed, remarks=remarks, read=[FILE, *read])
-    return load_scene(capture, downscale, width, eval_every=eval_every)
+    return load_scene(capture, width, eval_every=eval_every)
 
 
 def posed_image(folder: SceneFolder, image: Path, row: NDArray) -> PosedImage:

@@ -16,9 +16,7 @@ FORMATS["nerfstudio"] = (FILE,)
 
 
 @SCENES.register("nerfstudio")
-def nerfstudio(
-    *, path: str | Path, downscale: Count = 1, width: Count | None = None, skip_missing: bool = False
-) -> Scene:
+def nerfstudio(*, path: str | Path, width: Count | None = None, skip_missing: bool = False) -> Scene:
     """Reads `path`/transforms.json. Views are in the order of their file names.
 
     Intrinsics are fl_x fl_y cx cy k1 k2 p1 p2, or camera_angle_x, x_fov or K, shared or per frame; those of
@@ -32,7 +30,6 @@ def nerfstudio(
 
     Args:
         path: the folder.
-        downscale: integer factor by which images are reduced, with an area filter.
         width: that of images which are wider, in pixels; the area filter reduces them to it.
         skip_missing: leave out frames whose image is missing.
 
@@ -51,7 +48,7 @@ def nerfstudio(
         remarks=list(unread_keys(content)),
         read=[FILE],
     )
-    return load_scene(capture, downscale, width, skip_missing=skip_missing)
+    return load_scene(capture, width, skip_missing=skip_missing)
 
 
 def assigned(
