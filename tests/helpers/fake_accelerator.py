@@ -108,12 +108,12 @@ def step(options: str) -> None:
                 if torch.is_tensor(value):
                     setattr(owner, name, value.detach().to(DEVICE))
         assert isinstance(model.field.mask, SpaceMask)
-        streams = {"pixels": torch.Generator().manual_seed(0), "samples": torch.Generator().manual_seed(1)}
         with suppress(DataDependentOutputException):
             bool(model.field.mask.grid.any())
             raise AssertionError("a number was read unseen")
         for number in (0, 10):  # the proposal networks learn in the first of them
-            terms = trainer.terms(streams, number)
+            trainer._set_step(number)
+            terms = trainer.terms(trainer.draw())
             parameters = [p for p in model.parameters() if p.requires_grad]
             check(f"{options} {number}", terms.values(), parameters)
 

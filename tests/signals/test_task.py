@@ -1,6 +1,6 @@
 """A third kind of task, from outside the package: one class, which the runner, the store and the commands take."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -64,8 +64,8 @@ class Pulse(Task):
         class Steps(Loop):
             points_a_step = rays_a_step = task.points_a_step
 
-            def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
-                view = shown[step % len(shown)]
+            def terms(self, drawn: list[Tensor]) -> dict[str, Tensor]:
+                view = shown[self.step % len(shown)]
                 return {"mse": (task.render(view) - task.images[view]).square().mean()}
 
         return Steps(self.model, self.settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))

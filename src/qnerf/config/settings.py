@@ -143,6 +143,7 @@ class Run:
 
     force: bool = False
     progress: bool = True
+    capture: bool = False  # on CUDA: record a step once, as CUDA graphs
     hours: PositiveFactor = 24.0  # a training that is going to take longer is refused
     preview_seconds: Annotated[float, Interval(ge=0, le=1e9)] = 30.0  # between two preview pictures; 0: none
 
