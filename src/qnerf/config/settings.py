@@ -135,6 +135,7 @@ class Numerics:
     """How numbers are computed."""
 
     dtype: Literal["float32", "float64"] = "float32"  # of model and training
+    precision: Literal["full", "mixed"] = "full"  # mixed: hidden layers of mlp heads in bfloat16, in a float32 run
 
 
 @dataclass(frozen=True, kw_only=True)
