@@ -4,8 +4,10 @@ Prints, and saves as benchmarks/results/gpu.parquet with the card's name:
 
 - error: each head in float32 on the card against float64 on the CPU, outputs and gradients, as a share of the largest;
 - layer: milliseconds, forward and backward, and peak memory of QIREN, 6 to 12 wires, 10^3 to 10^6 samples;
-- step: milliseconds of a training step on `poster`, for 256 and 4,096 rays;
-- training: seconds of 500 steps, and the PSNR of a held-out view after them.
+- captured: how far a training whose steps are recorded (run.capture=true) ends from a plain one, in float64, as a share
+  of the largest parameter; NaN where steps could not be recorded;
+- step: milliseconds of a training step on `poster`, for 256 and 4,096 rays, plain and recorded;
+- training: seconds of 500 steps, and the PSNR of a held-out view after them, plain and recorded.
 
 It ends after `--minutes`; rows that it did not come to are not saved.
 """
@@ -15,7 +17,7 @@ import copy
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from statistics import median
 
@@ -25,10 +27,15 @@ from torch import Tensor, nn
 
 from benchmarks.training import Row, build, processor
 from qnerf.heads import HEADS
+from qnerf.kernels import dispatch
 from qnerf.quantum import QuantumLayer
+from qnerf.training.captured import NAME
 
 RESULTS = Path(__file__).parent / "results" / "gpu.parquet"
 STEPS = 500
+BEFORE = 50  # steps after which all kinds of steps are recorded
+FIELDS = ("classical", "qcolor", "qdensity", "qboth")
+CAPTURE = ("run.capture=false", "run.capture=true")
 
 
 def errors(device: torch.device) -> Iterator[Row]:
@@ -69,24 +76,44 @@ def _differentiate(layer: nn.Module, x: Tensor) -> None:
     layer(x).sum().backward()
 
 
+def captured(device: torch.device) -> Iterator[Row]:
+    for field in FIELDS:
+        ends = []
+        with dispatch.report() as aside:
+            for capture in CAPTURE:
+                options = (
+                    f"field={field} {capture} sampler.anneal_steps=0 sampler.update_every=2 numerics.dtype=float64"
+                )
+                trainer, _ = build(f"{options} device={device}")
+                for _ in range(BEFORE + 20):
+                    trainer.take_step(measure=False)
+                ends.append(torch.cat([one.detach().flatten() for one in trainer.model.parameters()]))
+        plain, recorded = ends
+        worst = float((plain - recorded).abs().max() / plain.abs().max()) if trainer.graphs.recorded else float("nan")
+        yield {"kind": "captured", "name": f"field={field} {aside.get(NAME, '')}".strip(), "error": worst}
+
+
 def steps(device: torch.device, repeats: int) -> Iterator[Row]:
-    for field in ("classical", "qcolor", "qdensity", "qboth"):
-        for rays in (256, 4096):
-            trainer, _ = build(f"field={field} train.rays={rays} device={device}")
-            name = f"field={field} train.rays={rays}"
-            yield {"kind": "step", "name": name, **_timed(partial(trainer.take_step, measure=False), device, repeats)}
+    for field, rays, capture in product(FIELDS, (256, 4096), CAPTURE):
+        name = f"field={field} train.rays={rays} {capture}"
+        trainer, _ = build(f"{name} sampler.anneal_steps=0 device={device}")
+        for _ in range(BEFORE):
+            trainer.take_step(measure=False)
+        yield {"kind": "step", "name": name, **_timed(partial(trainer.take_step, measure=False), device, repeats)}
 
 
 def trainings(device: torch.device) -> Iterator[Row]:
-    for field in ("classical", "qcolor"):
-        trainer, evaluator = build(f"field={field} train.steps={STEPS} device={device}")
+    for field, capture in product(("classical", "qcolor"), CAPTURE):
+        trainer, evaluator = build(
+            f"field={field} {capture} train.steps={STEPS} sampler.anneal_steps=100 device={device}"
+        )
         start = time.perf_counter()
         for number in range(STEPS):
             trainer.take_step(measure=number == STEPS - 1)
         seconds = time.perf_counter() - start
         view = evaluator.scene.eval[0]
         psnr = evaluator.measure(evaluator.render(view, trainer.step))["psnr"]
-        yield {"kind": "training", "name": f"field={field}", "ms": 1e3 * seconds, "psnr": psnr}
+        yield {"kind": "training", "name": f"field={field} {capture}", "ms": 1e3 * seconds, "psnr": psnr}
 
 
 def _timed(call: Callable[[], object], device: torch.device, repeats: int) -> Row:
@@ -125,7 +152,8 @@ def main() -> None:
     card = torch.cuda.get_device_name(device) if device.type == "cuda" else f"{device}, {processor()}"
     end, rows = time.monotonic() + 60 * options.minutes, []
     repeats = options.repeats
-    for row in chain(errors(device), steps(device, repeats), trainings(device), layers(device, repeats)):
+    measured = errors(device), captured(device), steps(device, repeats), trainings(device), layers(device, repeats)
+    for row in chain(*measured):
         rows.append(row | {"card": card, "torch": torch.__version__})
         shown = ("error", "ms", "peak_bytes", "psnr")
         print(row["kind"], row["name"], *(f"{key} {row[key]:.4g}" for key in shown if key in row), flush=True)

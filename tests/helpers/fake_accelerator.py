@@ -7,16 +7,19 @@ so this is a program of its own. It ends with "done".
 """
 
 import sys
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 
 import torch
 from torch import Tensor, nn
 from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 from torch.overrides import TorchFunctionMode
+from torch.utils import _pytree as pytree
+from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
 from qnerf.geometry.visibility import SpaceMask
-from qnerf.quantum import QuantumLayer
+from qnerf.quantum import QuantumLayer, statevector
+from qnerf.rendering import proposal_sampler
 from tests.helpers.configs import TINY, composed
 from tests.helpers.trainer import trainer as built_trainer
 
@@ -34,6 +37,17 @@ class OnDevice(TorchFunctionMode):
         if function is Tensor.new_tensor and args[0].device.type == DEVICE:
             return torch.tensor(*args[1:], **{"dtype": args[0].dtype} | kwargs).to(args[0].device)
         return function(*args, **kwargs)
+
+
+class Settled(TorchDispatchMode):
+    """Refuses copies to the device: each one waits for it. After a first step, all that is constant is there."""
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        out = function(*args, **kwargs or {})
+        given = [one for one in pytree.tree_leaves(args) if isinstance(one, Tensor) and one.dim()]
+        if isinstance(out, Tensor) and out.device.type == DEVICE and any(one.device.type == "cpu" for one in given):
+            raise AssertionError(f"{function} copies {[tuple(one.shape) for one in given]} to the device")
+        return out
 
 
 def moved(module):
@@ -96,14 +110,19 @@ def step(options):
                 if torch.is_tensor(value):
                     setattr(owner, name, value.detach().to(DEVICE))
         assert isinstance(model.field.mask, SpaceMask)
-        streams = {"pixels": torch.Generator().manual_seed(0), "samples": torch.Generator().manual_seed(1)}
+        # The device has no generator, so it draws without one.
+        statevector.takes_dense_blocks = lambda device, wires: wires <= statevector.DENSE_WIRES
+        proposal_sampler.draw_jitter = lambda rays, draws, _: list(torch.empty(draws, len(rays), 1, device=DEVICE))
         with suppress(DataDependentOutputException):
             bool(model.field.mask.grid.any())
             raise AssertionError("a number was read unseen")
-        for number in (0, 10):  # the proposal networks learn in the first of them
-            terms = trainer.terms(streams, number)
-            parameters = [p for p in model.parameters() if p.requires_grad]
-            check(f"{options} {number}", terms.values(), parameters)
+        for number, mode in ((0, nullcontext()), (10, Settled())):  # the proposal networks learn in the first of them
+            trainer._set_step(number)
+            drawn = trainer.draw()
+            with mode:
+                terms = trainer.terms(drawn)
+                parameters = [p for p in model.parameters() if p.requires_grad]
+                check(f"{options} {number}", terms.values(), parameters)
 
 
 if __name__ == "__main__":

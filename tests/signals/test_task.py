@@ -59,8 +59,8 @@ class Pulse(Task):
         class Steps(Loop):
             points_a_step = rays_a_step = task.points_a_step
 
-            def terms(self, streams, step):
-                view = shown[step % len(shown)]
+            def terms(self, drawn):
+                view = shown[self.step % len(shown)]
                 return {"mse": (task.render(view) - task.images[view]).square().mean()}
 
         return Steps(self.model, self.settings, watch, Plateau(every=0, patience=1, min_gain_db=0.0))

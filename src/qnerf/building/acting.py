@@ -20,6 +20,7 @@ from qnerf.encoders import ENCODERS
 from qnerf.geometry.contraction import CONTRACTIONS
 from qnerf.geometry.pose_refinement import CAMERAS
 from qnerf.heads import HEADS, chosen
+from qnerf.heads.mlp import MLPHead
 from qnerf.quantum.circuit import ANSATZE
 from qnerf.quantum.noise import Noise
 from qnerf.rendering.samplers import SAMPLERS
@@ -240,7 +241,13 @@ def _untrainable(group: str) -> Callable[[Mapping[str, Any]], bool]:
     return condition
 
 
+def _has_mlp(values: Mapping[str, Any]) -> bool:
+    heads = [HEADS.get(values[f"{group}.name"]) for group in HEAD_GROUPS if f"{group}.name" in values]
+    return any(isinstance(head, type) and issubclass(head, MLPHead) for head in heads)
+
+
 _WITHOUT_EFFECT: list[tuple[tuple[str, ...], Callable[[Mapping[str, Any]], bool]]] = [
+    (("numerics.precision",), lambda values: values.get("numerics.dtype") != "float32" or not _has_mlp(values)),
     (("pose_noise.seed",), _off("pose_noise.rotation", "pose_noise.translation")),
     (("visibility.resolution",), _off("visibility.cameras", "visibility.alpha")),
     (("stop.patience", "stop.min_gain_db", "stop.share", "stop.rays"), _off("stop.every")),

@@ -17,6 +17,7 @@ from qnerf.geometry.rays import RayTable
 from qnerf.geometry.visibility import SpaceMask, crossed, visible_cells
 from qnerf.heads import HEADS, Head, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS, DENSITY_ACTIVATIONS
+from qnerf.heads.mlp import MLPHead
 from qnerf.heads.qiren import Normalisation, check_samples
 from qnerf.model.field import Field
 from qnerf.model.memory import require_parameters
@@ -45,6 +46,9 @@ def build_field(settings: Settings, views: int, trained: Sequence[int]) -> Field
     directions = DIRECTIONS.build_checked(kind, interval=interval, **options.get(kind, {}))
     color_in = directions.out_dim + settings.geo_features + settings.appearance
     color = build_head(settings.color, color_in, 3)
+    for head in (density, color):
+        if isinstance(head, MLPHead):
+            head.mixed = settings.numerics.precision == "mixed"
     activations = (
         DENSITY_ACTIVATIONS.get(settings.density["activation"]),
         COLOR_ACTIVATIONS.get(settings.color["activation"]),

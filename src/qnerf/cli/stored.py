@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from qnerf.experiment import Outcome
     from qnerf.probes import Trained
 
-CHANGEABLE = ("scene.path", "threads", "device", "run.progress", "run.preview_seconds", "run.hours")
+CHANGEABLE = ("scene.path", "threads", "device", "run.progress", "run.capture", "run.preview_seconds", "run.hours")
 """Options that may differ from the stored ones: how the run is executed, and where its scene is now."""
 
 

@@ -135,6 +135,7 @@ class Numerics:
     """How numbers are computed."""
 
     dtype: Literal["float32", "float64"] = "float32"  # of model and training
+    precision: Literal["full", "mixed"] = "full"  # mixed: hidden layers of mlp heads in bfloat16, in a float32 run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +144,7 @@ class Run:
 
     force: bool = False
     progress: bool = True
+    capture: bool = False  # on CUDA: record a step once, as CUDA graphs
     hours: PositiveFactor = 24.0  # a training that is going to take longer is refused
     preview_seconds: Annotated[float, Interval(ge=0, le=1e9)] = 30.0  # between two preview pictures; 0: none
 

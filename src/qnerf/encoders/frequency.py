@@ -54,7 +54,8 @@ class PositionalEncoding(Encoder):
         self.frequencies = 2 ** torch.linspace(0, max_exponent, bands, dtype=torch.float64)
 
     def forward(self, points: Tensor) -> Tensor:
-        turns = points.to(torch.float64)[..., None] * self.frequencies.to(points.device)
+        self.frequencies = self.frequencies.to(points.device)  # once: a copy waits for the device
+        turns = points.to(torch.float64)[..., None] * self.frequencies
         encoded = sin_cos_turns(turns.flatten(-2), points.dtype)
         return torch.cat((encoded, points), dim=-1) if self.include_input else encoded
 

@@ -30,6 +30,9 @@ class MLPHead(Head):
     torch.Size([5, 4])
     """
 
+    mixed = False
+    """Whether all layers but the last multiply in bfloat16, in plain PyTorch; parameters and values keep theirs."""
+
     def __init__(
         self,
         in_dim: int,
@@ -72,6 +75,7 @@ class MLPHead(Head):
         """The layers, if a compiled loop computes them on these features; None: the modules do."""
         layers = self.as_layers()
         but = "not linear layers with biases and ReLU between them" if layers is None else None
+        but = "mixed precision" if self.mixed else but
         but = "autocast" if torch.is_autocast_enabled(features.device.type) else but
         if not serves("MLP", features, modules=(self,), but=but):
             return None
@@ -82,4 +86,12 @@ class MLPHead(Head):
     def forward(self, features: Tensor) -> Tensor:
         """(N, in_dim) -> (N, out_dim)."""
         layers = self.in_loop(features)
-        return self.net(features) if layers is None else mlp(features, layers)
+        if layers is not None:
+            return mlp(features, layers)
+        if not self.mixed:
+            values: Tensor = self.net(features)
+            return values
+        with torch.autocast(features.device.type, torch.bfloat16):
+            hidden = self.net[:-1](features)
+        last: Tensor = self.net[-1](hidden.to(features.dtype))
+        return last

@@ -76,9 +76,14 @@ def serves(
     reason = but or _against(LOOPS[loop], tensors, modules, called)
     if reason is None:
         return True
+    step_aside(loop, reason)
+    return False
+
+
+def step_aside(loop: str, reason: str) -> None:
+    """Tells every open `report` why a loop, or another fast way, does not compute; the first reason counts."""
     for report in _reports:
         report.setdefault(loop, reason)
-    return False
 
 
 def _against(

@@ -110,6 +110,7 @@ class Field(nn.Module):
             return None
         grid, layers = encoder.as_grid(), head.as_layers()
         but = "not linear layers with biases and ReLU between them" if layers is None else None
+        but = "mixed precision" if head.mixed else but
         but = "the points need a gradient" if points.requires_grad else but
         if not serves("hash grid + MLP", points, modules=(encoder, head), but=but):
             return None

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from qnerf.quantum.basis import placed
 from qnerf.quantum.blocks import Diagonal, Turn, rotations_of
 from qnerf.quantum.expressions import Expression
 from qnerf.quantum.one_wire import Factors
@@ -41,9 +42,8 @@ class ExpressionTable:
         of_features = _padded([list(features) for *_, features in terms], -1)
         self.takes_one = any(count in each for each in of_weights)
         # Arrays, because a tensor that is made inside a mode of PyTorch, such as that of torch.export, keeps it.
-        self.rows, self.of_weights, self.of_features = (
-            np.array(each, dtype=np.int64) for each in (rows, of_weights, of_features)
-        )
+        self.rows = np.array(rows, dtype=np.int64)
+        self.of_weights, self.of_features = (list(np.array(each, np.int64)) for each in (of_weights, of_features))
         self.numbers = np.array([number for _, number, _, _ in terms], dtype=np.float64)
         self.is_sum = bool((self.numbers == 1).all())
 
@@ -73,7 +73,7 @@ class ExpressionTable:
 
 def _tensor(array: np.ndarray, device: torch.device) -> Tensor:
     if array.size:
-        return torch.from_numpy(array).to(device)
+        return placed(array, device)
     return torch.empty(array.shape, dtype=torch.float64 if array.dtype.kind == "f" else torch.int64, device=device)
 
 
@@ -133,7 +133,7 @@ class Products:
 
     def __call__(self, x: Tensor, weights: Tensor) -> Tensor:
         """phi, theta, xi and omega of each product, flat, float64."""
-        left = torch.from_numpy(self.left).to(weights.device)
+        left = placed(self.left, weights.device)
         half = self.table(x, weights).reshape(*left.shape[:2], 1, 1) / 2
         steps = half.cos() * torch.eye(4, dtype=left.dtype, device=left.device) + half.sin() * left
         product = steps[:, 0, :, :1]

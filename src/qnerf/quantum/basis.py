@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
+import torch
+from torch import Tensor
 
 Pairs = Sequence[tuple[int, int]]
 
@@ -34,3 +36,21 @@ def cnot_permutation(pairs: Pairs, wires: int) -> np.ndarray:
     for control, target in reversed(pairs):
         index = np.where(index & control, index ^ target, index)
     return index
+
+
+_copies: dict[tuple[int, torch.device, torch.dtype | None], tuple[np.ndarray, Tensor]] = {}
+
+
+def placed(array: np.ndarray, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
+    """An array of a circuit on a device; `dtype` None keeps its own.
+
+    Another device than the CPU keeps its copy: to send one in each step would be to wait for the device. A tensor that
+    is kept on the CPU would keep the mode of PyTorch in which it was made.
+    """
+    if device.type == "cpu":
+        return torch.from_numpy(array).to(dtype=dtype)
+    own = id(array), device, dtype
+    if own not in _copies:
+        with torch.inference_mode(False):  # it is kept for training, too
+            _copies[own] = array, torch.from_numpy(array).to(device, dtype)
+    return _copies[own][1]

@@ -20,6 +20,7 @@ from torch import Tensor
 from qnerf.kernels.derivatives import is_differentiated, through_reference
 from qnerf.kernels.jit import run
 from qnerf.kernels.simd import lanes
+from qnerf.quantum.basis import placed
 from qnerf.quantum.circuit import readable_bytes
 from qnerf.quantum.compiled import polynomial
 from qnerf.quantum.compiled.engine import PARTS, cos_sin, from_blocks, to_blocks
@@ -165,12 +166,12 @@ class LightCones:
         self, plain: PlainCircuit, simulate: Simulate, weights: Tensor, fixed: Tensor, start: Tensor | None
     ) -> Tensor:
         """The values (points, values) that `simulate` gives on the grid, float64."""
-        points = torch.from_numpy(self.grid.points).to(weights.device)
+        points = placed(self.grid.points, weights.device)
         return simulate(fixed, plain.angles.inputs(points, weights), start, len(points), torch.float64)
 
     def coefficients(self, values: Tensor) -> Tensor:
         """Coefficients (values, most coefficients) of the polynomials with these values (points, values)."""
-        return (torch.from_numpy(self.grid.matrix).to(values) * values.T[:, None]).sum(2)
+        return (placed(self.grid.matrix, values.device, values.dtype) * values.T[:, None]).sum(2)
 
     def through(self, x: Tensor, values: Tensor) -> Tensor:
         """The polynomials with these values on the grid, at inputs x (B, features): plain PyTorch."""

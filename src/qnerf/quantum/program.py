@@ -29,10 +29,9 @@ from itertools import chain, zip_longest
 from math import pi
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from qnerf.quantum.basis import bit
+from qnerf.quantum.basis import bit, placed
 from qnerf.quantum.blocks import (
     CNOT_COST,
     LAYER_COST,
@@ -136,7 +135,8 @@ class Program:
         """Outputs (B, outputs) for the values (B, values) of the words and of the outcomes."""
         if self.combination is None:
             return values
-        return values @ torch.from_numpy(self.combination).to(values).T + torch.from_numpy(self.constants).to(values)
+        matrix, constants = (placed(own, values.device, values.dtype) for own in (self.combination, self.constants))
+        return values @ matrix.T + constants
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, ...]:

@@ -19,7 +19,7 @@ from torch.utils.checkpoint import checkpoint
 
 from qnerf.kernels import is_transformed
 from qnerf.quantum.angles import Angles, ExpressionTable
-from qnerf.quantum.basis import bit, cnot_permutation, z_signs
+from qnerf.quantum.basis import bit, cnot_permutation, placed, z_signs
 from qnerf.quantum.blocks import CNOTs, Diagonal, Tilts, Turn, moves
 from qnerf.quantum.circuit import Amplitudes, Circuit, check_state
 from qnerf.quantum.expressions import Expression
@@ -135,7 +135,7 @@ class PlainCircuit:
         rows = [(word.z, own) for word, own, _ in self.angles.rotations[place] if own >= 0]
         constant = self.angles.phases[place]
         if constant is not None:
-            state = state * torch.from_numpy(constant).to(state)[:, None]
+            state = state * placed(constant, state.device, state.dtype)[:, None]
         return state * _phases(rows, still, self.program.wires) if rows else state
 
     def moved_phases(self, place: int, state: Tensor, moving: Turns) -> Tensor:
@@ -219,7 +219,7 @@ def _measured(form: Program, state: Tensor) -> Tensor:
             values.append(next(products))
     for outcomes in form.tables:
         out = probabilities.new_zeros(int(outcomes.max()) + 1, probabilities.shape[1])
-        values.extend(out.index_add(0, torch.from_numpy(outcomes).to(state.device), probabilities))
+        values.extend(out.index_add(0, placed(outcomes, state.device), probabilities))
     return torch.stack(values, -1)
 
 
@@ -236,8 +236,13 @@ def cos_sin(x: Tensor, factors: Sequence[float]) -> Turns:
     """
     exact = all(abs(frexp(factor)[0]) in (0, 0.5) for factor in factors)
     angles = (x if exact else x.double()).T
-    angles = angles * angles.new_tensor(factors)[:, None]
+    angles = angles * placed(_numbers(tuple(factors)), angles.device, angles.dtype)[:, None]
     return angles.cos().to(x.dtype), angles.sin().to(x.dtype)
+
+
+@lru_cache(maxsize=1024)
+def _numbers(values: tuple[float, ...]) -> np.ndarray:
+    return np.array(values, np.float64)
 
 
 def _phases(rows: list[tuple[int, int]], turns: Turns, n: int) -> Tensor:
@@ -276,22 +281,12 @@ def table(
     build: Callable[[Any, int], np.ndarray], gates: Any, wires: int, device: torch.device, dtype: torch.dtype | None
 ) -> Tensor:
     """`build(gates, wires)` on a device; `dtype` None keeps its own."""
-    if device.type == "cpu":  # a tensor that is kept would keep the mode of PyTorch in which it was made
-        return torch.from_numpy(_array(build, gates, wires)).to(device, dtype)
-    return _on_device(build, gates, wires, device, dtype)
+    return placed(_array(build, gates, wires), device, dtype)
 
 
 @lru_cache(maxsize=1024)
 def _array(build: Callable[[Any, int], np.ndarray], gates: Any, wires: int) -> np.ndarray:
     return build(gates, wires)
-
-
-@lru_cache(maxsize=1024)
-@torch.inference_mode(False)  # it is kept for training, too
-def _on_device(
-    build: Callable[[Any, int], np.ndarray], gates: Any, wires: int, device: torch.device, dtype: torch.dtype | None
-) -> Tensor:
-    return torch.from_numpy(build(gates, wires)).to(device, dtype)
 
 
 def gate_by_gate(circuit: Circuit, x: Tensor, weights: Tensor) -> Tensor:

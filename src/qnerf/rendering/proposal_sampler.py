@@ -107,6 +107,9 @@ class ProposalSampler(Sampler):
             for resolution in max_resolutions
         )
 
+    def phase(self, step: int) -> tuple[bool, float]:
+        return self.learns(step), self.anneal(step)
+
     def learns(self, step: int) -> bool:
         """Whether the networks get a gradient in this step. It depends on the step alone."""
         last = self._last_warmup_update

@@ -1,6 +1,6 @@
 """Where a ray is sampled: samplers without networks of their own (`proposal_sampler.py` has the one with networks)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar
@@ -50,6 +50,10 @@ class Sampler(nn.Module):
         self.contraction = contraction
         self.mask: SpaceMask | None = None
         """Where density may be; None: everywhere."""
+
+    def phase(self, step: int) -> Hashable | None:
+        """All that `forward` makes of the step; None: it does not read it. See `training/captured.py`."""
+        return None
 
     def __call__(self, rays: Rays, density: Density, **options: Any) -> SampledRays:
         sampled: SampledRays = super().__call__(rays, density, **options)

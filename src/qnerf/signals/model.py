@@ -10,6 +10,7 @@ from qnerf.config.tensors import returned
 from qnerf.encoders import ENCODERS, Encoder
 from qnerf.heads import HEADS, head_options
 from qnerf.heads.activations import COLOR_ACTIVATIONS
+from qnerf.heads.mlp import MLPHead
 from qnerf.model.memory import require_parameters
 
 
@@ -44,6 +45,8 @@ def build_signal_model(settings: SignalSettings, in_dim: int, out_dim: int) -> S
         options = {key: value for key, value in settings.encoder.items() if key != "name"}
         encoder = ENCODERS.build_checked(settings.encoder["name"], in_dim, **options)
         head = HEADS.build_checked(settings.head["name"], encoder.out_dim, out_dim, **head_options(settings.head))
+        if isinstance(head, MLPHead):
+            head.mixed = settings.numerics.precision == "mixed"
         return SignalModel(encoder, head, COLOR_ACTIVATIONS.get(settings.head["activation"]))
 
     previous = torch.get_default_dtype()

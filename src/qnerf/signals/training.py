@@ -1,6 +1,6 @@
 """Training and evaluation of one head on a signal."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from qnerf.config.settings import Fit, SignalSettings
 from qnerf.config.tensors import require_tensor
+from qnerf.geometry.rays import sent
 from qnerf.metrics import quality_metrics
 from qnerf.signals.model import SignalModel
 from qnerf.timing import Stopwatch
@@ -57,14 +58,22 @@ class SignalTrainer(Loop):
             values.to(settings.torch_device, settings.dtype) for values in (signal.points, signal.targets)
         )
 
-    def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
+    def draw(self) -> list[Tensor]:
+        """Numbers of training points; none where all are taken."""
+        if len(self.points) <= self.train.points:
+            return []
+        index = torch.randint(len(self.points), (self.train.points,), generator=self.streams["pixels"])
+        return [sent(index, self.points.device)]
+
+    def terms(self, drawn: list[Tensor]) -> dict[str, Tensor]:
+        self.computing = "the model"
         with self.watch.stage("sampling"):
             points, targets = self.points, self.targets
-            if len(points) > self.train.points:
-                index = torch.randint(len(points), (self.train.points,), generator=streams["pixels"]).to(points.device)
-                points, targets = points[index], targets[index]
+            if drawn:
+                points, targets = points[drawn[0]], targets[drawn[0]]
         with self.watch.stage("field"):
             predicted = self.model(points)
+        self.computing = "the loss"
         with self.watch.stage("render"):
             return self.signal.terms(predicted, targets)
 

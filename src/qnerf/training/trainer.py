@@ -1,9 +1,10 @@
 """The training loop: batches of rays, the loss, the optimiser, checkpoints."""
 
+import contextlib
 import copy
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import torch
@@ -20,6 +21,7 @@ from qnerf.rendering.background import evaluation_background
 from qnerf.rendering.samplers import SampledRays
 from qnerf.scenes.base import composite
 from qnerf.timing import STAGES, Stopwatch, load
+from qnerf.training.captured import Graphs, Unread
 from qnerf.training.error_map import ErrorMap
 from qnerf.training.optimiser import apply_gradients, build_optimiser, forget_gradients
 from qnerf.training.schedules import falls_from, learning_rate, paced
@@ -84,6 +86,8 @@ class Loop:
         groups = [{"params": parameters, "name": name} for name, parameters in model.parts.items() if parameters]
         self.optimiser = build_optimiser(groups, self.train)
         self.paced = paced(model)
+        self.graphs = Graphs(device, settings.run.capture)
+        self.computing = ""  # what of a step was begun last, in words
         self.few_products = device.type == "cpu" and few_products(model, self.points_a_step)
         self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
@@ -94,16 +98,43 @@ class Loop:
 
     def _set_step(self, step: int) -> None:
         """Everything that is a function of the step, so that a resumed run has it too."""
-        self.step = step
+        self.step = self._number = step
         for part in self.paced:
             part.progress = step / self.train.steps
         self.rate = learning_rate(step, self.train)
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate * getattr(self.train.rates, group["name"])
 
-    def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
-        """Draws a batch from the streams; the weighted terms whose sum is minimised."""
+    def draw(self) -> list[Tensor]:
+        """What of a batch is drawn on the CPU, from `streams["pixels"]`; on the device."""
+        return []
+
+    def terms(self, drawn: list[Tensor]) -> dict[str, Tensor]:
+        """The weighted terms whose sum is minimised, of what `draw` returned. All that is random is drawn on the
+        device, from `streams["samples"]`."""
         raise NotImplementedError
+
+    @staticmethod
+    def loss(terms: Mapping[str, Tensor]) -> Tensor:
+        for name, term in terms.items():
+            require_tensor(f"the loss term {name!r}", term, ())
+        return torch.stack(list(terms.values())).sum()
+
+    def phase(self) -> Hashable | None:
+        """What decides how this step is computed: steps with equal ones are alike. None: nothing is settled yet."""
+        return () if len(self.step_seconds) >= LOOKS else None
+
+    @contextlib.contextmanager
+    def unread(self) -> Iterator[Unread]:
+        """Inside, nothing but what `phase` covers can read the number of the step, or the progress."""
+        number: Any = Unread()
+        self.step = number
+        for part in self.paced:
+            part.progress = number
+        try:
+            yield number
+        finally:
+            self._set_step(self._number)
 
     def take_step(self, measure: bool) -> dict[str, float]:
         """One optimisation step.
@@ -119,23 +150,15 @@ class Loop:
         start, cpu = self.watch.now(wait=measure), time.process_time()
         self.watch.begin(measure=measure)
         rate = self.rate
-        with one_torch_thread(self.few_products and not is_plain()):
-            terms = self.terms(self.streams, self.step)
-            for name, term in terms.items():
-                require_tensor(f"the loss term {name!r}", term, ())
-            with self.watch.stage("render"):
-                loss = torch.stack(list(terms.values())).sum()
-                # Another device computes on while its next steps are sent. To read a number is to wait for it.
-                value = float(loss.detach()) if measure or loss.is_cpu else 0.0
-            if not math.isfinite(value):
-                raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
-            with self.watch.stage("backward"):
-                forget_gradients(self.optimiser)
-                loss.backward()
-            if self.idle and len(self.step_seconds) < LOOKS:
-                self.idle = [name for name in self.idle if not _learns(self.model.parts[name])]
-        with self.watch.stage("optimiser"):
-            apply_gradients(self.optimiser)
+        with self.graphs.stream():
+            with one_torch_thread(self.few_products and not is_plain()):
+                with self.watch.stage("sampling"):
+                    drawn = self.draw()
+                value, terms = (
+                    (0.0, {}) if not measure and self.graphs.compute(self, drawn) else self._gradients(drawn, measure)
+                )
+            with self.watch.stage("optimiser"):
+                apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
         seconds = self.watch.now(wait=measure) - start
         self.step_seconds.append(seconds)
@@ -152,6 +175,22 @@ class Loop:
             "time/load": load(),
             **{f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in STAGES},
         }
+
+    def _gradients(self, drawn: list[Tensor], measure: bool) -> tuple[float, dict[str, Tensor]]:
+        """Computes the gradients, one operation after another; the loss, if it was looked at, and its terms."""
+        terms = self.terms(drawn)
+        with self.watch.stage("render"):
+            loss = self.loss(terms)
+            # Another device computes on while its next steps are sent. To read a number is to wait for it.
+            value = float(loss.detach()) if measure or loss.is_cpu else 0.0
+        if not math.isfinite(value):
+            raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
+        with self.watch.stage("backward"):
+            forget_gradients(self.optimiser)
+            loss.backward()
+        if self.idle and len(self.step_seconds) < LOOKS:
+            self.idle = [name for name in self.idle if not _learns(self.model.parts[name])]
+        return value, terms
 
     def _culprit(self, terms: dict[str, Tensor]) -> str:
         """The first parameters or loss term with a value that is not finite, in words."""
@@ -301,20 +340,32 @@ class Trainer(Loop):
         if self.error_map:
             self.error_map.cells.copy_(state["errors"])
 
-    def terms(self, streams: Mapping[str, torch.Generator], step: int) -> dict[str, Tensor]:
+    def phase(self) -> Hashable | None:
+        settled = super().phase()
+        return settled if settled is None else (settled, self.model.sampler.phase(self.step))
+
+    def draw(self) -> list[Tensor]:
+        """Numbers (R,) of training pixels; and with sparse points the distances (P,) of the first P."""
+        numbers = self.table.draw(self.train.rays, self.streams["pixels"])
+        if not self.depths:
+            return [numbers]
+        drawn, distances = self.depths.draw(self.train.rays // SHARE_OF_POINTS, self.streams["pixels"])
+        numbers[: len(drawn)] = sent(drawn, numbers.device)
+        return [numbers, sent(distances.to(self.table.dtype), numbers.device)]
+
+    def terms(self, drawn: list[Tensor]) -> dict[str, Tensor]:
+        numbers, distances = drawn[0], drawn[1] if len(drawn) > 1 else None
+        sampler, random = self.model.sampler, self.streams["samples"]
+        self.computing = "the model"
         with self.watch.stage("sampling"):
-            numbers, distances, known = self.table.draw(self.train.rays, streams["pixels"]), None, 0
-            if self.depths:
-                known = self.train.rays // SHARE_OF_POINTS
-                drawn, distances = self.depths.draw(known, streams["pixels"])
-                numbers[:known] = sent(drawn, numbers.device)
-                distances = distances.to(self.table.poses)
             if self.error_map:
+                known = 0 if distances is None else len(distances)
                 last = len(numbers) - round(self.train.error_rays * (len(numbers) - known))
-                numbers[last:] = self.error_map.draw(len(numbers) - last, streams["samples"])
+                numbers[last:] = self.error_map.draw(len(numbers) - last, random)
             rays, pixels = self.table.batch(numbers, self.model.cameras)
+        step = self.step if sampler.phase(self._number) is None else self._number
         rendering, sampled, behind = self.model(
-            rays, background=self.background, step=step, watch=self.watch, generator=streams["samples"]
+            rays, background=self.background, step=step, watch=self.watch, generator=random
         )
         with self.watch.stage("render"):
             target = composite(pixels, behind)
@@ -327,8 +378,13 @@ class Trainer(Loop):
     ) -> dict[str, Tensor]:
         """The weighted terms of `qnerf.training.terms`; their sum is minimised. `target` (R, 3): true colours."""
         step = Step(rendering, sampled, target, self.model, self.step, self.watch.active, distances)
-        terms = {name: (weight, LOSSES.get(name)(step)) for name, weight in self.weights.items()}
-        return {name: weight * term for name, (weight, term) in terms.items() if term is not None}
+        terms = {}
+        for name, weight in self.weights.items():
+            self.computing = f"the loss term {name}"
+            term = LOSSES.get(name)(step)
+            if term is not None:
+                terms[name] = weight * term
+        return terms
 
     @torch.no_grad()
     def validate(self) -> float:
