@@ -29,7 +29,7 @@ from tests.helpers.stopping import StopsWhen, interrupted
 REQUIRED = [
     "run_id", "state", "params.encoder", "params.density", "params.color", "psnr", "ssim", "lpips", "train_s",
     "step_ms", "steps", "field", "encoder", "hash", "scene", "sampler", "cameras", "train", "scene.path",
-    "scene.width", "train.steps", "train.rays", "seed", "geo_features",
+    "train.steps", "train.rays", "seed", "geo_features",
 ]  # fmt: skip
 OWN = {
     "classical": ["color.mlp.layers", "color.mlp.width", "density.mlp.layers", "density.mlp.width"],

@@ -31,7 +31,7 @@ def test_help_and_commands_that_read_wait_for_no_large_package():
         from qnerf.cli.main import usage
         usage()
         print({"pandas"} & {*sys.modules})
-        from qnerf.cli.commands import diff, export, rm, runs, show, tag
+        from qnerf.cli.commands import diff, export, rm, runs, show
         print({"torch", "hydra", "numba"} & {*sys.modules})
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -60,7 +60,6 @@ MISTAKES = {
     "runs --limit -1": "--limit",
     "show nobody": "nobody",
     "diff nobody nobody": "nobody",
-    "tag nobody good": "nobody",
     "rm nobody --yes": "nobody",
     "export nobody": "nobody",
     "export scene.path=x": "expected a run",
