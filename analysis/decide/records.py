@@ -27,6 +27,8 @@ def records(store: str | Path) -> pd.DataFrame:
             changes = "; ".join(f"budget {change['budget']:g} s at {change['time']}" for change in found["changes"])
             study = {"registered": found["registered"]["time"], "changes": changes}
             how = [searched(found["tuned"], look) for look in last.to_dict("records")]
+            for_all = [word for word in asked["common"].split() if word.startswith(("scene=", "scene."))]
+            last = last.replace({"scene": {"": name_of(" ".join(for_all))}})
             names = names_of(found["question"]["candidates"])
             if any(name != text for text, name in names.items()):
                 asked["candidates"] = "; ".join(names)

@@ -12,6 +12,7 @@ import pandas as pd
 import yaml  # type: ignore[import-untyped]
 from qnerf.analysis import command, load
 from qnerf.analysis.decide.records import records
+from qnerf.analysis.decide.records import title as comparison
 from qnerf.analysis.figures.files import title
 from qnerf.analysis.selection import SCENES, label, validating
 from qnerf.analysis.tables import Table, stability
@@ -31,7 +32,7 @@ One line a question: what its runs say, and the page with the table and the comm
   seeds. Bold is the best of a column. [analysis.md](analysis.md#verdicts) explains the verdicts: one without a scene
   holds on each scene of the page. A row without its number of seeds has all that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
-- **The runs of all but the first eight questions were made with the learning rate that `train=quick` had at first**
+- **The runs of all but the first nine questions were made with the learning rate that `train=quick` had at first**
   ([recipe.md](recipe.md#how-the-learning-rate-falls)), and are not judged anew yet. `train.schedule=exponential
   train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them; from before `train=quick` gave MLPs He's
   initial weights, `density.mlp.init=torch`; from before it halved the proposal networks' samples,
@@ -107,9 +108,8 @@ def studied(folder: Path) -> str:
     for look in looks:
         if look["seeds"]:
             said = f"{look['shown']} {metric_of(look['metric']).unit}, {look['verdict']}, {look['seeds']} seeds"
-            lines.append(
-                f"- {look['scene']}: {look['candidate']} - {look['baseline']}: {said}. {look['searched']}".rstrip()
-            )
+            pair = comparison(look["scene"], f"{look['candidate']} - {look['baseline']}")
+            lines.append(f"- {pair}: {said}. {look['searched']}".rstrip())
     return "By `qnerf decide`, whose intervals hold over all its looks:\n\n" + "\n".join(lines) if lines else ""
 
 

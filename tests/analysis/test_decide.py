@@ -147,6 +147,11 @@ def test_a_study_goes_on_where_it_was_stopped(trainings, tmp_path):
     assert here.equals(there)
 
 
+def test_a_record_names_the_scene_that_all_candidates_have(trainings, tmp_path):
+    decide.main(["x=a", "x=b", "--all", "scene=photograph scene.path=pictures/camera", "--store", str(tmp_path)])
+    assert set(records(tmp_path)["scene"]) == {"camera"}
+
+
 def test_a_study_says_its_whole_time_before_its_first_run_is_trained(trainings, tmp_path, capsys):
     decide.main(["x=a", "x=b", "--store", str(tmp_path), "--budget", "9m"])
     said = capsys.readouterr().out.splitlines()
