@@ -363,6 +363,8 @@ class Trainer(Loop):
                 last = len(numbers) - round(self.train.error_rays * (len(numbers) - known))
                 numbers[last:] = self.error_map.draw(len(numbers) - last, random)
             rays, pixels = self.table.batch(numbers, self.model.cameras)
+        # While a step is recorded, `self.step` refuses to be read. A sampler that says its phases may read the number:
+        # each graph is of one phase.
         step = self.step if sampler.phase(self._number) is None else self._number
         rendering, sampled, behind = self.model(
             rays, background=self.background, step=step, watch=self.watch, generator=random
