@@ -1,7 +1,7 @@
 """Training steps as CUDA graphs: what a step sends to the device is recorded once, and sent as a whole from then on.
 
-A graph holds the terms of the loss, their sum and its gradients. The batch is copied into the graph's own tensors
-before each replay, and the optimiser's step stays outside. What the host decides while a step is recorded is frozen. So
+A graph holds the terms of the loss, with those that are only logged, their sum and its gradients. The batch is copied
+into the graph's own tensors before each replay, and the optimiser's step stays outside. What the host decides while a step is recorded is frozen. So
 nothing of it may change: `Loop.phase` says what of the step decides, and there is a graph for each phase. Whatever else
 reads the number of the step is refused, and all steps then go the plain way.
 """
@@ -9,10 +9,10 @@ reads the number of the step is refused, and all steps then go the plain way.
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from qnerf.kernels.dispatch import step_aside
 from qnerf.training.optimiser import forget_gradients
@@ -74,8 +74,18 @@ class Card:
         return graph.replay
 
 
+class Recorded(NamedTuple):
+    """A graph, with the tensors that it reads and those that it writes."""
+
+    batch: list[Tensor]
+    terms: dict[str, Tensor]
+    loss: Tensor
+    gradients: list[tuple[nn.Parameter, Tensor]]
+    replay: Callable[[], None]
+
+
 class Graphs:
-    """The graphs of a training, each with the tensors of its batch and the gradients that it writes.
+    """The graphs of a training.
 
     Args:
         device: of the training.
@@ -87,38 +97,46 @@ class Graphs:
         if wanted and self.card is None:
             step_aside(NAME, f"device {device.type}")
         self.seen: Counter[Hashable] = Counter()
-        self.recorded: dict[Hashable, tuple[list[Tensor], list[tuple[Tensor, Tensor]], Callable[[], None]]] = {}
+        self.recorded: dict[Hashable, Recorded] = {}
 
     def stream(self) -> contextlib.AbstractContextManager[None]:
         return self.card.on_stream() if self.card else contextlib.nullcontext()
 
-    def compute(self, loop: Any, drawn: list[Tensor]) -> bool:
-        """Whether a graph computed the gradients of this step, which are then in place; False: go the plain way."""
+    def compute(self, loop: Any, drawn: list[Tensor], measure: bool) -> tuple[Tensor, dict[str, Tensor]] | None:
+        """The loss and its terms from a graph, with the gradients in place; None: go the plain way."""
         phase = loop.phase() if self.card else None
         if phase is None:
-            return False
+            return None
         if phase not in self.recorded:
             self.seen[phase] += 1
-            if self.seen[phase] <= WARM or not self._record(phase, loop, drawn):
-                return False
-        batch, gradients, replay = self.recorded[phase]
-        for own, values in zip(batch, drawn, strict=True):
+            if measure or self.seen[phase] <= WARM or not self._record(phase, loop, drawn):
+                return None
+        graph = self.recorded[phase]
+        for own, values in zip(graph.batch, drawn, strict=True):
             own.copy_(values)
-        replay()
+        graph.replay()
         forget_gradients(loop.optimiser)
-        for parameter, gradient in gradients:
+        for parameter, gradient in graph.gradients:
             parameter.grad = gradient
-        return True
+        return graph.loss, graph.terms
 
     def _record(self, phase: Hashable, loop: Any, drawn: list[Tensor]) -> bool:
         assert self.card
         batch = [values.clone() for values in drawn]
+        terms: dict[str, Tensor] = {}
+        losses: list[Tensor] = []
+
+        def step() -> None:
+            terms.update(loop.terms(batch))
+            losses.append(loop.loss(terms))
+            losses[0].backward()
+
         on_cpu = [torch.default_generator, loop.streams["pixels"]]
         random = [own.get_state() for own in on_cpu]
         forget_gradients(loop.optimiser)
         try:
             with loop.unread() as number:
-                replay = self.card.record(lambda: loop.loss(loop.terms(batch)).backward(), loop.streams["samples"])
+                replay = self.card.record(step, loop.streams["samples"])
             if number.read:
                 number._refuse()
             if not all(torch.equal(own.get_state(), state) for own, state in zip(on_cpu, random, strict=True)):
@@ -134,5 +152,6 @@ class Graphs:
             return False
         parameters = [parameter for group in loop.optimiser.param_groups for parameter in group["params"]]
         gradients = [(parameter, parameter.grad) for parameter in parameters if parameter.grad is not None]
-        self.recorded[phase] = batch, gradients, replay
+        outputs = {name: term.detach() for name, term in terms.items()}
+        self.recorded[phase] = Recorded(batch, outputs, losses[0].detach(), gradients, replay)
         return True

@@ -88,6 +88,7 @@ class Loop:
         self.paced = paced(model)
         self.graphs = Graphs(device, settings.run.capture)
         self.computing = ""  # what of a step was begun last, in words
+        self.logged = False  # whether the metrics of this step are
         self.few_products = device.type == "cpu" and few_products(model, self.points_a_step)
         self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
@@ -126,9 +127,10 @@ class Loop:
 
     @contextlib.contextmanager
     def unread(self) -> Iterator[Unread]:
-        """Inside, nothing but what `phase` covers can read the number of the step, or the progress."""
+        """Inside, nothing but what `phase` covers can read the number of the step, or the progress; and all terms are
+        computed, as in a step that is logged."""
         number: Any = Unread()
-        self.step = number
+        self.step, self.logged = number, True
         for part in self.paced:
             part.progress = number
         try:
@@ -149,14 +151,18 @@ class Loop:
         """
         start, cpu = self.watch.now(wait=measure), time.process_time()
         self.watch.begin(measure=measure)
+        self.logged = measure
         rate = self.rate
         with self.graphs.stream():
             with one_torch_thread(self.few_products and not is_plain()):
                 with self.watch.stage("sampling"):
                     drawn = self.draw()
-                value, terms = (
-                    (0.0, {}) if not measure and self.graphs.compute(self, drawn) else self._gradients(drawn, measure)
-                )
+                recorded = self.graphs.compute(self, drawn, measure)
+                loss, terms = recorded or self._gradients(drawn)
+                # Another device computes on while its next steps are sent. To read a number is to wait for it.
+                value = float(loss.detach()) if measure or loss.is_cpu else 0.0
+            if not math.isfinite(value):
+                raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
             with self.watch.stage("optimiser"):
                 apply_gradients(self.optimiser)
         self._set_step(self.step + 1)
@@ -173,24 +179,21 @@ class Loop:
             "time/step_ms": seconds * 1e3,
             "time/step_cpu_ms": (time.process_time() - cpu) * 1e3,
             "time/load": load(),
-            **{f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in STAGES},
+            # The stages of a recorded step are one.
+            **({} if recorded else {f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in STAGES}),
         }
 
-    def _gradients(self, drawn: list[Tensor], measure: bool) -> tuple[float, dict[str, Tensor]]:
-        """Computes the gradients, one operation after another; the loss, if it was looked at, and its terms."""
+    def _gradients(self, drawn: list[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """Computes the gradients, one operation after another; returns the loss and its terms."""
         terms = self.terms(drawn)
         with self.watch.stage("render"):
             loss = self.loss(terms)
-            # Another device computes on while its next steps are sent. To read a number is to wait for it.
-            value = float(loss.detach()) if measure or loss.is_cpu else 0.0
-        if not math.isfinite(value):
-            raise Diverged(f"the loss is {value} at step {self.step}, {self._culprit(terms)}; {ADVICE}")
         with self.watch.stage("backward"):
             forget_gradients(self.optimiser)
             loss.backward()
         if self.idle and len(self.step_seconds) < LOOKS:
             self.idle = [name for name in self.idle if not _learns(self.model.parts[name])]
-        return value, terms
+        return loss, terms
 
     def _culprit(self, terms: dict[str, Tensor]) -> str:
         """The first parameters or loss term with a value that is not finite, in words."""
@@ -379,7 +382,7 @@ class Trainer(Loop):
         self, rendering: Rendering, sampled: SampledRays, target: Tensor, distances: Tensor | None = None
     ) -> dict[str, Tensor]:
         """The weighted terms of `qnerf.training.terms`; their sum is minimised. `target` (R, 3): true colours."""
-        step = Step(rendering, sampled, target, self.model, self.step, self.watch.active, distances)
+        step = Step(rendering, sampled, target, self.model, self.step, self.logged, distances)
         terms = {}
         for name, weight in self.weights.items():
             self.computing = f"the loss term {name}"
