@@ -7,6 +7,7 @@ Prints, and saves as benchmarks/results/gpu.parquet with the card's name:
 - captured: how far a training whose steps are recorded (run.capture=true) ends from a plain one, in float64, as a share
   of the largest parameter; NaN where steps could not be recorded;
 - step: milliseconds of a training step on `poster`, for 256 and 4,096 rays, plain and recorded;
+- seeds: milliseconds in which one training, or ten side by side, take a recorded step;
 - training: seconds of 500 steps, and the PSNR of a held-out view after them, plain and recorded.
 
 It ends after `--minutes`; rows that it did not come to are not saved.
@@ -15,7 +16,8 @@ It ends after `--minutes`; rows that it did not come to are not saved.
 import argparse
 import copy
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
@@ -30,6 +32,7 @@ from qnerf.heads import HEADS
 from qnerf.kernels import dispatch
 from qnerf.quantum import QuantumLayer
 from qnerf.training.captured import NAME
+from qnerf.training.turns import Turns
 
 RESULTS = Path(__file__).parent / "results" / "gpu.parquet"
 STEPS = 500
@@ -102,6 +105,23 @@ def steps(device: torch.device, repeats: int) -> Iterator[Row]:
         yield {"kind": "step", "name": name, **_timed(partial(trainer.take_step, measure=False), device, repeats)}
 
 
+def seeds(device: torch.device, repeats: int) -> Iterator[Row]:
+    for field, count in product(("classical", "qcolor"), (1, 10)):
+        options = f"field={field} run.capture=true sampler.anneal_steps=0 device={device}"
+        turns = Turns([partial(_endless, f"{options} seed={seed}") for seed in range(count)], device)
+        with closing(turns):
+            for _ in range(BEFORE):
+                turns.round()
+            yield {"kind": "seeds", "name": f"field={field}, {count}", **_timed(turns.round, device, repeats)}
+
+
+def _endless(options: str, aside: dict[str, str]) -> Generator[bool, None, None]:
+    trainer, _ = build(options)
+    while True:
+        trainer.take_step(measure=False)
+        yield trainer.replayed
+
+
 def trainings(device: torch.device) -> Iterator[Row]:
     for field, capture in product(("classical", "qcolor"), CAPTURE):
         trainer, evaluator = build(
@@ -152,8 +172,8 @@ def main() -> None:
     card = torch.cuda.get_device_name(device) if device.type == "cuda" else f"{device}, {processor()}"
     end, rows = time.monotonic() + 60 * options.minutes, []
     repeats = options.repeats
-    measured = errors(device), captured(device), steps(device, repeats), trainings(device), layers(device, repeats)
-    for row in chain(*measured):
+    timed = steps(device, repeats), seeds(device, repeats), trainings(device), layers(device, repeats)
+    for row in chain(errors(device), captured(device), *timed):
         rows.append(row | {"card": card, "torch": torch.__version__})
         shown = ("error", "ms", "peak_bytes", "psnr")
         print(row["kind"], row["name"], *(f"{key} {row[key]:.4g}" for key in shown if key in row), flush=True)

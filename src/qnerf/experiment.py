@@ -1,9 +1,11 @@
 """One run, top to bottom: scene -> rays -> samples -> field -> render -> loss -> metrics -> parquet."""
 
+import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from qnerf.training.preview import Preview
 from qnerf.training.stop_requests import stop_requests
 from qnerf.training.stopping import PLATEAU, PRUNED
 from qnerf.training.task import Measures, Task, ViewEvaluator
+from qnerf.training.turns import Turns
 
 SHARE, FEWEST = 0.05, 2**14  # of the training's time that its curves take, unless a curve has fewer rays a point
 WORTH_A_MENTION = 60.0  # seconds of the evaluation after the last step
@@ -84,6 +87,21 @@ class Display:
     def end(self) -> None: ...
 
 
+@dataclass(frozen=True)
+class Job:
+    """A run that is asked for: its configuration with the scene, what the user typed, and the run's id."""
+
+    prepared: Prepared
+    overrides: Sequence[str]
+    display: Display
+    name: str
+
+    @property
+    def finished(self) -> bool:
+        settings = self.prepared.settings
+        return not settings.run.force and state(Path(settings.store) / self.name) == "finished"
+
+
 def run(
     config: Mapping[str, Any] | Configuration | Prepared,
     overrides: Sequence[str] = (),
@@ -103,25 +121,60 @@ def run(
             nothing has been written; or more by the first steps, and there is a checkpoint.
         Diverged: the loss turned NaN or infinite; the last good checkpoint stays.
     """
-    display = display or Display()
     prepared = config if isinstance(config, Prepared) else prepare(config)
-    settings = prepared.settings
-    name = name or prepared.find_id(settings.store)
-    finished = not settings.run.force and state(Path(settings.store) / name) == "finished"
-    with devices.dealt("cpu" if finished else settings.device, display.note, display.stopping) as device:
-        prepared = replace(prepared, configuration=prepared.configuration.with_values({"device": device}))
-        return _run(prepared, name, overrides, display)
+    name = name or prepared.find_id(prepared.settings.store)
+    [outcome] = side_by_side([Job(prepared, overrides, display or Display(), name)])
+    if isinstance(outcome, Exception):
+        raise outcome
+    return outcome
 
 
-def _run(prepared: Prepared, name: str, overrides: Sequence[str], display: Display) -> Outcome:
-    settings, task = prepared.settings, prepared.task
+def side_by_side(jobs: Sequence[Job]) -> list[Outcome | Exception]:
+    """Trains the jobs, of different ids, on one device, a step of each in turn: how each ended, or what `run` raises.
+
+    Each computes what it would compute alone. An interruption ends all of them.
+
+    Raises:
+        ValueError: the jobs name different devices.
+    """
+    names = sorted({job.prepared.settings.device for job in jobs if not job.finished}) or ["cpu"]
+    if len(names) > 1:
+        raise ValueError(f"runs side by side: expected one device, got device={','.join(names)}")
+    trainings: list[_Training] = []
+    stops: Sequence[int] = ()
+
+    def last_words() -> str | None:
+        """Ends the records, if the last whole step of each is in a checkpoint."""
+        if any(training.trainer.saved != training.trainer.step for training in trainings):
+            return None
+        return "\n".join(dict.fromkeys(training.interrupt() for training in trainings))
+
+    first = jobs[0].display
+    with devices.dealt(names[0], first.note, first.stopping) as device:
+        started = [partial(_run, job, device, trainings, lambda: bool(stops)) for job in jobs]
+        with contextlib.closing(Turns(started, devices.device_of(device))) as turns:
+            turns.round()  # all that comes before the first step
+            with stop_requests(last_words) as stops:
+                while turns.round():
+                    pass
+    return turns.results()
+
+
+def _run(
+    job: Job, device: str, trainings: "list[_Training]", stopped: Callable[[], bool], aside: Mapping[str, str]
+) -> Generator[bool, None, Outcome]:
+    """Yields before the first step and after each one, see `Turns`.
+
+    trainings: those that go on. aside: which compiled loops stepped aside, and why.
+    """
+    prepared = replace(job.prepared, configuration=job.prepared.configuration.with_values({"device": device}))
+    display, settings, task = job.display, prepared.settings, prepared.task
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     task.build(settings)
 
     known = None
-    asked = settings.run.force or state(Path(settings.store) / name) != "finished"
-    if asked and settings.torch_device.type == "cpu":
+    if not job.finished and settings.torch_device.type == "cpu":
         step = seconds_of_circuits(task.model, task.points_a_step)
         known = step > LONG and foretold("circuits alone: ", step, step * settings.train.steps, settings.run.hours)
     configuration = prepared.configuration
@@ -129,23 +182,18 @@ def _run(prepared: Prepared, name: str, overrides: Sequence[str], display: Displ
     columns |= {**task.columns, "scene.fingerprint": task.fingerprint, "steps": 0}
     store = RunStore(settings.store)
     claim = store.claim(
-        name, configuration.acting, overrides, columns=columns, types=configuration.types, force=settings.run.force
+        job.name,
+        configuration.acting,
+        job.overrides,
+        columns=columns,
+        types=configuration.types,
+        force=settings.run.force,
     )
     if claim.outcome in ("finished", "resumed"):
         _compare(claim.dir, configuration, display)
     if claim.run is None:
-        return Outcome(name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
-    training: _Training | None = None
-
-    def last_words() -> str | None:
-        """Ends the record, if the last whole step is in a checkpoint."""
-        step = training.trainer.step if training else 0
-        if training and training.trainer.saved != step:
-            return None
-        record.interrupt(step)
-        return _stopped(step, settings.train.steps, settings.run.force)
-
-    with claim.run as record, stop_requests(last_words) as stops, dispatch.report() as aside:
+        return Outcome(job.name, claim.dir, claim.outcome, read_summary(claim.dir), claim.message)
+    with claim.run as record:
         if claim.outcome == "resumed":
             display.note(claim.message)
         _describe(prepared, record, display)
@@ -154,8 +202,14 @@ def _run(prepared: Prepared, name: str, overrides: Sequence[str], display: Displ
         record.write_environment(capture(settings.seed), dirty_diff())
         if task.transform is not None:
             record.write_transform(task.transform.numpy())
-        training = _Training(task, record, display, lambda: bool(stops))
-        return training.finish(aside)
+        training = _Training(task, record, display, stopped)
+        trainings.append(training)
+        try:
+            yield False
+            beside = len(trainings)
+            return (yield from training.finish(aside, beside))
+        finally:
+            trainings.remove(training)
 
 
 def _describe(prepared: Prepared, record: Run, display: Display) -> None:
@@ -198,8 +252,14 @@ class _Training:
         self.pruned = False
         self.taken = 0  # steps, by this command
 
-    def finish(self, aside: Mapping[str, str]) -> Outcome:
-        """aside: which compiled loops stepped aside meanwhile, and why."""
+    def interrupt(self) -> str:
+        """Ends the record after the last checkpoint; what to tell the user."""
+        step = self.trainer.step
+        self.record.interrupt(step)
+        return _stopped(step, self.settings.train.steps, self.settings.run.force)
+
+    def finish(self, aside: Mapping[str, str], beside: int) -> Generator[bool, None, Outcome]:
+        """aside: see `_run`. beside: how many trainings began in this process, with this one."""
         if self.record.resumed:
             checkpoint = self.record.go_on(self.trainer.check)
             if checkpoint is not None:
@@ -208,17 +268,19 @@ class _Training:
         steps = self.settings.train.steps
         self.display.begin(self.record.dir, self.trainer.step, steps)
         try:
-            measured = self.train()
+            measured = yield from self.train()
         finally:
             self.display.end()
         if not self.trainer.done or measured is None:
             return _stop(self.record, self.trainer.step, steps, self.pruned, self.settings.run.force)
         path = self.record.dir
-        self.record.finish(measured | self.timings() | logged_times(path) | {"loops": dispatch.described(aside)})
+        times = self.timings() | logged_times(path) | {"time.beside": beside}
+        self.record.finish(measured | times | {"loops": dispatch.described(aside)})
         return Outcome(self.record.run_id, path, "finished", read_summary(path), "")
 
-    def train(self) -> Measures | None:
-        """Trains, and evaluates on the way; returns the means of the last evaluation if there was one."""
+    def train(self) -> Generator[bool, None, Measures | None]:
+        """Trains, and evaluates on the way. Yields after each step, and returns the means of the last evaluation if
+        there was one."""
         trainer, record = self.trainer, self.record
         measured = None
         if trainer.step and self.is_due() and not was_evaluated(record.dir, trainer.step):  # it was stopped in there
@@ -237,6 +299,7 @@ class _Training:
             self.show()
             if self.is_due():
                 measured = self.assess()
+            yield trainer.replayed
         self.show(now=True)
         if trainer.done and measured is None and not self.stopping():  # killed between the last checkpoint and the end
             _, measured = self.evaluate(self.task.eval)

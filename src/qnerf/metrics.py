@@ -185,6 +185,7 @@ for _metric in (
     Metric("train_s", "training time", "s", 0, "lower", "time"),
     Metric("time.quantum_ms", "circuits' part of a step", "ms", 1, "lower", "time", on_request=True),
     Metric("time.load", "load", "", 2, explanation="processes that run or wait, for each core", on_request=True),
+    Metric("time.beside", "runs side by side", "", 0, explanation="that began in one process", on_request=True),
     Metric("eval_s", "evaluation time", "s", 1, "lower", "time", on_request=True),
     Metric("cost.gates", "gates", kind="size", on_request=True, explanation="of all circuits of the heads"),
     Metric("cost.two_qubit_gates", "two-qubit gates", kind="size", on_request=True, explanation="CNOT and CZ"),

@@ -26,6 +26,7 @@ class LiveDisplay(Display):
 
     changed: what the user has typed that acts; None: the start says nothing.
     judge: what a job of a search gives up by; None: it never does.
+    label, beside: of a run that trains beside others: what tells it from them, and the display whose bars it shares.
     """
 
     def __init__(
@@ -34,20 +35,28 @@ class LiveDisplay(Display):
         live: bool = True,
         changed: Sequence[str] | None = None,
         judge: Callable[[Path, int, Measures], bool] | None = None,
+        label: str = "",
+        beside: "LiveDisplay | None" = None,
     ) -> None:
         self.console = console
         self.changed = changed
         self.judge = judge
-        self.progress = Progress(
-            TextColumn("{task.fields[phase]}"),
-            BarColumn(max(8, min(40, console.width - BESIDE))),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(),
-            TextColumn("left"),
-            console=console,
-            disable=not live or not console.is_terminal,
+        self.label = label
+        self.progress: Progress = (
+            beside.progress
+            if beside
+            else Progress(
+                TextColumn("{task.description}"),
+                TextColumn("{task.fields[phase]}"),
+                BarColumn(max(8, min(40, console.width - BESIDE))),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TextColumn("{task.fields[status]}"),
+                TimeRemainingColumn(),
+                TextColumn("left"),
+                console=console,
+                disable=not live or not console.is_terminal,
+            )
         )
         self.every = 0
         self.held_out_text = ""
@@ -69,7 +78,7 @@ class LiveDisplay(Display):
         self.every = max(1, steps // 10)
         self.steps = steps
         self.started = time.monotonic()
-        self.task = self.progress.add_task("training", total=steps, completed=step, status="", phase="compile")
+        self.task = self.progress.add_task(self.label, total=steps, completed=step, status="", phase="compile")
         self.progress.start()
 
     def phase(self, name: str) -> None:
@@ -102,6 +111,7 @@ class LiveDisplay(Display):
         )
 
     def note(self, text: str) -> None:
+        text = f"{self.label}: {text}" if self.label else text
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def stopping(self) -> bool:
@@ -111,7 +121,9 @@ class LiveDisplay(Display):
         return self.judge is not None and self.judge(path, step, measured)
 
     def end(self) -> None:
-        self.progress.stop()
+        self.progress.stop_task(self.task)
+        if all(task.stop_time is not None for task in self.progress.tasks):
+            self.progress.stop()
 
 
 def print_outcome(console: Console, outcome: Outcome, brief: bool = False) -> None:

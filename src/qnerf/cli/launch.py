@@ -3,12 +3,15 @@
 The jobs of a sweep run one after the other, or wherever `hydra/launcher=...` puts them (`sweep.py`).
 """
 
+import contextlib
 import logging
 import os
 import re
 import sys
 import traceback
 import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,64 +39,120 @@ from qnerf.records import owner, state
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
 _jobs: list[Sweep | None] = []  # of the jobs that began in this process, the sweep
+_waiting: "list[list[Job]]" = []  # of a launcher that trains jobs side by side, those that it has begun
 _full_errors: list[bool] = []  # whether the user asked for tracebacks, with Hydra's HYDRA_FULL_ERROR=1
+
+
+@dataclass
+class Job:
+    """One run, or a job of a sweep: its number there, and what the user typed."""
+
+    sweep: Sweep | None
+    number: int
+    overrides: list[str]
+    console: Console = field(default_factory=Console)
+    configuration: Any = None
+    display: Any = None
 
 
 @ends.stoppable()  # the processes of a launcher start here
 def job(composed: DictConfig) -> None:
     """One job of a run or a sweep: hands Hydra's configuration to the library and prints an error as one line."""
+    from qnerf.cli.training import train
+
     ends.escape_unencodable()  # in a launcher's process, too
     own = HydraConfig.get()
-    sweep = Sweep(own.sweep.dir) if own.mode == RunMode.MULTIRUN else None
-    _jobs.append(sweep)
+    multirun = own.mode == RunMode.MULTIRUN
+    one = Job(Sweep(own.sweep.dir) if multirun else None, own.job.num if multirun else 0, list(own.overrides.task))
+    _jobs.append(one.sweep)
     try:
         if ends.output_lost():
             sys.exit(ends.stopped_code())
-        _train(composed, sweep)
+        _begin(one, composed)
+        if _waiting:
+            _waiting[-1].append(one)
+        else:
+            _end(one, train(one.configuration, one.overrides, one.display))
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         sys.exit(ends.stopped_code())
     except Exception as error:
-        _failed(error, sweep)
+        _failed(error, one)
 
 
-def _failed(error: Exception, sweep: Sweep | None) -> None:
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Jobs that begin inside wait for its end, and then train side by side."""
+    _waiting.append([])
+    try:
+        yield
+    finally:
+        jobs = _waiting.pop()
+    _train_beside(jobs)
+
+
+@ends.stoppable()
+def _train_beside(jobs: Sequence[Job]) -> None:
+    from qnerf.cli.training import train_beside
+
+    outcomes = train_beside([(one.configuration, one.overrides, one.display) for one in jobs])
+    stopped = None
+    for one, outcome in zip(jobs, outcomes, strict=True):
+        if isinstance(outcome, Exception):
+            _failed(outcome, one)
+        elif outcome.state == "interrupted":
+            stopped = one, outcome
+        else:
+            _end(one, outcome)
+    if stopped:
+        _end(*stopped)
+
+
+def _failed(error: Exception, one: Job) -> None:
     """Prints the error as one line. A bug keeps its traceback, and so does everything with HYDRA_FULL_ERROR=1."""
     from qnerf.training.trainer import Diverged
 
     known = is_known(error) or isinstance(error, (Diverged, OmegaConfBaseException))
-    if any(_full_errors) or (sweep is None and not known):
+    if any(_full_errors) or (one.sweep is None and not known):
         raise error
     if not known:
-        traceback.print_exc()
+        traceback.print_exception(error)
     code = report(error)
-    if sweep is None:
+    if one.sweep is None:
         sys.exit(code if isinstance(error, (ValueError, OmegaConfBaseException)) else FAILED)
     reason = one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
-    sweep.fail(HydraConfig.get().job.num, list(HydraConfig.get().overrides.task), reason)
+    one.sweep.fail(one.number, one.overrides, reason)
 
 
-def _train(composed: DictConfig, sweep: Sweep | None) -> None:
-    from qnerf.cli.display import LiveDisplay, print_outcome
-    from qnerf.cli.training import note_without_effect, train
+def _begin(one: Job, composed: DictConfig) -> None:
+    """Composes the job's configuration, and says which job it is."""
+    from qnerf.cli.display import LiveDisplay
+    from qnerf.cli.training import note_without_effect
 
     plugins.load(list(composed.plugins))  # a launcher's process has not; what is resolved depends on their classes
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
-    own = HydraConfig.get()
-    overrides = list(own.overrides.task)
     _show_warnings()
-    console = Console()
-    if sweep is not None and console.is_terminal:
-        console.rule(" ".join(overrides), align="left")
-    elif sweep is not None:
-        console.print(" ".join(overrides), highlight=False, markup=False, soft_wrap=True)
-    configuration = Configuration.of(config)
-    changed = None if sweep else note_without_effect(configuration, overrides)  # a sweep has said so in its first line
-    display = LiveDisplay(console, config["run"]["progress"], changed, _judge(sweep, config["store"]))
-    outcome = train(configuration, overrides, display)
-    print_outcome(console, outcome, brief=sweep is not None)
-    if outcome.state == "busy" and sweep is not None:
-        sweep.busy(own.job.num, overrides, outcome.path)
+    if one.sweep is not None and one.console.is_terminal:
+        one.console.rule(" ".join(one.overrides), align="left")
+    elif one.sweep is not None:
+        one.console.print(" ".join(one.overrides), highlight=False, markup=False, soft_wrap=True)
+    one.configuration = Configuration.of(config)
+    # A sweep has said so in its first line.
+    changed = None if one.sweep else note_without_effect(one.configuration, one.overrides)
+    beside = _waiting[-1][0].display if _waiting and _waiting[-1] else None
+    label = sweeps.started[-1].own(one.overrides) if _waiting else ""
+    judge = _judge(one.sweep, config["store"])
+    one.display = LiveDisplay(one.console, config["run"]["progress"], changed, judge, label, beside)
+
+
+def _end(one: Job, outcome: Any) -> None:
+    from qnerf.cli.display import print_outcome
+
+    if one.display.label:
+        one.console.print(one.display.label, highlight=False, markup=False, soft_wrap=True)
+    print_outcome(one.console, outcome, brief=one.sweep is not None)
+    if outcome.state == "busy" and one.sweep is not None:
+        one.sweep.busy(one.number, one.overrides, outcome.path)
     elif outcome.state == "busy":
         sys.exit(FAILED)
     elif outcome.state == "interrupted":

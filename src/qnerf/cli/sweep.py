@@ -54,7 +54,7 @@ class Sweep:
 
     def failures(self) -> list[tuple[str, str]]:
         """Each failed job's own overrides and the reason, in the order of the jobs."""
-        return [(self._own(job["overrides"]), job["reason"]) for job in self._read("failed").values()]
+        return [(self.own(job["overrides"]), job["reason"]) for job in self._read("failed").values()]
 
     def busy_runs(self) -> dict[Path, tuple[int, list[str]]]:
         """Run -> job and overrides, of the jobs whose runs another process trained when they began."""
@@ -78,7 +78,8 @@ class Sweep:
         paths = {int(path.stem): path for path in (*folder.glob("*.json"), *_unwritten) if path.parent == folder}
         return {number: _unwritten.get(paths[number]) or _job(paths[number]) for number in sorted(paths)}
 
-    def _own(self, overrides: Sequence[str]) -> str:
+    def own(self, overrides: Sequence[str]) -> str:
+        """What tells a job from the others; all that it has if nothing does."""
         return " ".join([item for item in overrides if item not in self.common] or overrides)
 
 

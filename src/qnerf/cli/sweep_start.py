@@ -1,4 +1,4 @@
-"""What happens once, in the process that starts a sweep: its folder, and this package's sweepers."""
+"""What happens once, in the process that starts a sweep: its folder, and this package's plugins."""
 
 import importlib.util
 import sys
@@ -22,6 +22,7 @@ EXTRAS = {
 """Launcher or sweeper -> the module that it needs, and the extra that installs it."""
 
 GRID, SEARCH = "hydra_plugins.qnerf.Grid", "hydra_plugins.qnerf_optuna.OptunaSweeper"
+BESIDE = "hydra_plugins.qnerf.SideBySide"
 
 
 class SweepStart(Callback):
@@ -43,14 +44,18 @@ class SweepStart(Callback):
         with read_write(config.hydra), open_dict(config.hydra):  # Hydra 1.4 gives it read-only
             config.hydra.sweep.dir = str(sweep.folder)
             config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
-        _register(sweeper)
+        _register(launcher, sweeper)
         if launcher == "submitit_slurm":
             print(f"jobs go to Slurm, output is in {sweep.folder / 'jobs'}; Ctrl-C does not stop the jobs", flush=True)
 
 
-def _register(sweeper: str) -> None:
-    """Puts the sweepers of this package where Hydra keeps the plugins that it has found in `hydra_plugins`."""
+def _register(launcher: str, sweeper: str) -> None:
+    """Puts this package's plugins where Hydra keeps those that it has found in `hydra_plugins`."""
     Plugins.instance().class_name_to_class[GRID] = Grid
+    if launcher == "side_by_side":
+        from qnerf.cli.side_by_side import SideBySide
+
+        Plugins.instance().class_name_to_class[BESIDE] = SideBySide
     if sweeper == "qnerf_optuna":
         from qnerf.cli.search import OptunaSweeper
 

@@ -11,17 +11,15 @@ from qnerf import experiment
 from qnerf.building.configuration import Configuration
 from qnerf.building.scene import prepare
 from qnerf.cli.sweep import RETRY
-from qnerf.experiment import Display, Outcome
+from qnerf.experiment import Display, Job, Outcome
+from qnerf.scenes import Scene
 
 PATIENCE = 300.0  # seconds of attempts; longer than HEARTBEAT_LIMIT of `qnerf.records.owner`
 
 
 def train(config: Mapping[str, Any] | Configuration, overrides: Sequence[str], display: Display) -> Outcome:
     """`qnerf.experiment.run` with what a job of Slurm needs: its threads, and patience after a restart."""
-    configuration = Configuration.of(config)
-    if configuration["threads"] is None:
-        configuration = configuration.with_values({"threads": _threads_of_slurm()})
-    prepared = prepare(configuration)
+    prepared = prepare(_with_threads(Configuration.of(config)))
 
     def attempt() -> Outcome:
         return experiment.run(prepared, overrides, display)
@@ -36,6 +34,35 @@ def train(config: Mapping[str, Any] | Configuration, overrides: Sequence[str], d
     return outcome
 
 
+def train_beside(asked: Sequence[tuple[Configuration, Sequence[str], Display]]) -> list[Outcome | Exception]:
+    """`qnerf.experiment.side_by_side` of these configurations, which share what they read of a scene: how each ended.
+
+    Where several are one run, it is trained once.
+    """
+    ended: dict[int, Outcome | Exception] = {}
+    jobs: dict[str, tuple[int, Job]] = {}
+    again: list[tuple[int, Job]] = []
+    scenes: dict[str, Scene] = {}
+    for number, (configuration, overrides, display) in enumerate(asked):
+        try:
+            key = repr(configuration.complete["scene"])
+            prepared = prepare(_with_threads(configuration), scenes.get(key))
+            if isinstance(prepared.source, Scene):
+                scenes[key] = prepared.source
+            job = Job(prepared, overrides, display, prepared.find_id(prepared.settings.store))
+        except Exception as error:
+            ended[number] = error
+            continue
+        if job.name in jobs:
+            again.append((number, job))
+        else:
+            jobs[job.name] = number, job
+    for group in (list(jobs.values()), *([one] for one in again)):
+        numbers = [number for number, _ in group]
+        ended |= zip(numbers, experiment.side_by_side([job for _, job in group]) if group else [], strict=True)
+    return [ended[number] for number in range(len(asked))]
+
+
 def note_without_effect(configuration: Configuration, overrides: Sequence[str]) -> list[str]:
     """Names the options that the user typed and that change nothing; returns the others."""
     vain = configuration.without_effect(overrides)
@@ -44,8 +71,11 @@ def note_without_effect(configuration: Configuration, overrides: Sequence[str]) 
     return [override for override in overrides if override not in vain]
 
 
-def _threads_of_slurm() -> int | None:
+def _with_threads(configuration: Configuration) -> Configuration:
+    """With Slurm's number of threads, unless it has one."""
+    if configuration["threads"] is not None:
+        return configuration
     cpus = os.environ.get("SLURM_CPUS_PER_TASK")
     if cpus is not None and not re.fullmatch("[0-9]{1,9}", cpus):
         raise ValueError(f"SLURM_CPUS_PER_TASK must be a whole number, got {cpus!r}")
-    return int(cpus) if cpus else None
+    return configuration.with_values({"threads": int(cpus)}) if cpus else configuration

@@ -158,14 +158,17 @@ def is_transformed(*tensors: Tensor) -> bool:
 
 
 @contextlib.contextmanager
-def report() -> Iterator[dict[str, str]]:
-    """Collects the loops that step aside inside, each with the first reason. `described` puts them into words."""
-    aside: dict[str, str] = {}
+def report(aside: dict[str, str] | None = None) -> Iterator[dict[str, str]]:
+    """Collects the loops that step aside inside, each with the first reason. `described` puts them into words.
+
+    aside: an earlier report, to be continued; None: a new one.
+    """
+    aside = {} if aside is None else aside
     _reports.append(aside)
     try:
         yield aside
     finally:
-        _reports.remove(aside)
+        _reports[:] = [other for other in _reports if other is not aside]
 
 
 def described(aside: Mapping[str, str]) -> str:

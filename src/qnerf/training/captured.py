@@ -1,9 +1,9 @@
 """Training steps as CUDA graphs: what a step sends to the device is recorded once, and sent as a whole from then on.
 
 A graph holds the terms of the loss, with those that are only logged, their sum and its gradients. The batch is copied
-into the graph's own tensors before each replay, and the optimiser's step stays outside. What the host decides while a step is recorded is frozen. So
-nothing of it may change: `Loop.phase` says what of the step decides, and there is a graph for each phase. Whatever else
-reads the number of the step is refused, and all steps then go the plain way.
+into the graph's own tensors before each replay, and the optimiser's step stays outside. What the host decides while a
+step is recorded is frozen. So nothing of it may change: `Loop.phase` says what of the step decides, and there is a
+graph for each phase. Whatever else reads the number of the step is refused, and all steps then go the plain way.
 """
 
 import contextlib

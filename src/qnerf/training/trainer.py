@@ -89,6 +89,7 @@ class Loop:
         self.graphs = Graphs(device, settings.run.capture)
         self.computing = ""  # what of a step was begun last, in words
         self.logged = False  # whether the metrics of this step are
+        self.replayed = False  # whether a graph computed it
         self.few_products = device.type == "cpu" and few_products(model, self.points_a_step)
         self._set_step(0)
         # Separate streams: configurations with different samplers still see the same batches of rays.
@@ -158,6 +159,7 @@ class Loop:
                 with self.watch.stage("sampling"):
                     drawn = self.draw()
                 recorded = self.graphs.compute(self, drawn, measure)
+                self.replayed = recorded is not None
                 loss, terms = recorded or self._gradients(drawn)
                 # Another device computes on while its next steps are sent. To read a number is to wait for it.
                 value = float(loss.detach()) if measure or loss.is_cpu else 0.0
@@ -180,7 +182,7 @@ class Loop:
             "time/step_cpu_ms": (time.process_time() - cpu) * 1e3,
             "time/load": load(),
             # The stages of a recorded step are one.
-            **({} if recorded else {f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in STAGES}),
+            **({} if self.replayed else {f"time/{name}_ms": self.watch.seconds[name] * 1e3 for name in STAGES}),
         }
 
     def _gradients(self, drawn: list[Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
