@@ -5,7 +5,7 @@ into a folder of its own; `questions.yaml` beside these folders has the question
 """
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -102,15 +102,20 @@ def page(folder: Path, question: Question) -> tuple[str, str]:
 
 
 def studied(folder: Path) -> str:
-    """What `qnerf decide` has said of these runs, an item a comparison; empty where nobody asked it."""
-    looks = records(folder).to_dict("records")
-    lines = []
-    for look in looks:
-        if look["seeds"]:
-            said = f"{look['shown']} {metric_of(look['metric']).unit}, {look['verdict']}, {look['seeds']} seeds"
-            pair = comparison(look["scene"], f"{look['candidate']} - {look['baseline']}")
-            lines.append(f"- {pair}: {said}. {look['searched']}".rstrip())
-    return "By `qnerf decide`, whose intervals hold over all its looks:\n\n" + "\n".join(lines) if lines else ""
+    """What `qnerf decide` has said of these runs, and what it searched; empty where nobody asked."""
+    looks = [look for look in records(folder).to_dict("records") if look["seeds"]]
+    parts = ["By `qnerf decide`, whose intervals hold over all its looks."] if looks else []
+    for scene, baseline in dict.fromkeys((look["scene"], look["baseline"]) for look in looks):
+        here = [look for look in looks if (look["scene"], look["baseline"]) == (scene, baseline)]
+        parts.append(f"{comparison(scene, 'against ' + baseline)}:")
+        parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here))
+        searches = dict.fromkeys(found for look in here for found in look["searched"].split("; ") if found)
+        parts += ["Chosen by the search:", "\n".join(f"- {found}" for found in searches)] if searches else []
+    return "\n\n".join(parts)
+
+
+def _said(look: Mapping[Hashable, str]) -> str:
+    return f"{look['shown']} {metric_of(look['metric']).unit}, {look['verdict']}, {look['seeds']} seeds"
 
 
 def scene_key(rows: Sequence[str]) -> str:
