@@ -97,6 +97,10 @@ class Job:
     name: str
 
     @property
+    def device(self) -> str:
+        return str(self.prepared.settings.device)
+
+    @property
     def finished(self) -> bool:
         settings = self.prepared.settings
         return not settings.run.force and state(Path(settings.store) / self.name) == "finished"
@@ -137,7 +141,7 @@ def side_by_side(jobs: Sequence[Job]) -> list[Outcome | Exception]:
     Raises:
         ValueError: the jobs name different devices.
     """
-    names = sorted({job.prepared.settings.device for job in jobs if not job.finished}) or ["cpu"]
+    names = sorted({job.device for job in jobs if not job.finished}) or ["cpu"]
     if len(names) > 1:
         raise ValueError(f"runs side by side: expected one device, got device={','.join(names)}")
     trainings: list[_Training] = []

@@ -11,6 +11,7 @@ def test_jobs_that_fail_or_are_the_same_run_stop_none(qnerf: Any, small: Any, tm
     assert done.out.startswith("8 jobs, ")
     assert done.code == 1
     assert "4 failed" in done.err
+    assert done.out.count("finished already") == 2
     found = [read_summary(path) for path in runs(tmp_path / "runs")]
     assert sorted((row["seed"], row["state"], row["time.beside"]) for row in found) == [
         (0, "finished", 2), (1, "finished", 2)

@@ -37,29 +37,33 @@ def train(config: Mapping[str, Any] | Configuration, overrides: Sequence[str], d
 def train_beside(asked: Sequence[tuple[Configuration, Sequence[str], Display]]) -> list[Outcome | Exception]:
     """`qnerf.experiment.side_by_side` of these configurations, which share what they read of a scene: how each ended.
 
-    Where several are one run, it is trained once.
+    Those on another device, or of a run that stands there already, come after the others.
     """
     ended: dict[int, Outcome | Exception] = {}
-    jobs: dict[str, tuple[int, Job]] = {}
-    again: list[tuple[int, Job]] = []
+    groups: list[dict[str, tuple[int, Job]]] = []
     scenes: dict[str, Scene] = {}
     for number, (configuration, overrides, display) in enumerate(asked):
         try:
             key = repr(configuration.complete["scene"])
             prepared = prepare(_with_threads(configuration), scenes.get(key))
-            if isinstance(prepared.source, Scene):
-                scenes[key] = prepared.source
-            job = Job(prepared, overrides, display, prepared.find_id(prepared.settings.store))
         except Exception as error:
             ended[number] = error
             continue
-        if job.name in jobs:
-            again.append((number, job))
-        else:
-            jobs[job.name] = number, job
-    for group in (list(jobs.values()), *([one] for one in again)):
-        numbers = [number for number, _ in group]
-        ended |= zip(numbers, experiment.side_by_side([job for _, job in group]) if group else [], strict=True)
+        if isinstance(prepared.source, Scene):
+            scenes[key] = prepared.source
+        job = Job(prepared, overrides, display, prepared.find_id(prepared.settings.store))
+        fitting = (
+            group
+            for group in groups
+            if job.name not in group and all(other.device == job.device for _, other in group.values())
+        )
+        group = next(fitting, None)
+        if group is None:
+            groups.append(group := {})
+        group[job.name] = number, job
+    for group in groups:
+        numbers, jobs = zip(*group.values(), strict=True)
+        ended |= zip(numbers, experiment.side_by_side(jobs), strict=True)
     return [ended[number] for number in range(len(asked))]
 
 
