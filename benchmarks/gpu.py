@@ -112,7 +112,10 @@ def seeds(device: torch.device, repeats: int) -> Iterator[Row]:
         with closing(turns):
             for _ in range(BEFORE):
                 turns.round()
-            yield {"kind": "seeds", "name": f"field={field}, {count}", **_timed(turns.round, device, repeats)}
+            row = {"kind": "seeds", "name": f"field={field}, {count}", **_timed(turns.round, device, repeats)}
+        for error in turns.results():
+            raise error
+        yield row
 
 
 def _endless(options: str, aside: dict[str, str]) -> Generator[bool, None, None]:

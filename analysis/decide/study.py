@@ -156,7 +156,10 @@ def started(arguments: Sequence[str], foresee: Callable[[float], object]) -> Non
     command = [sys.executable, "-m", "qnerf", "run", "-m", *arguments]
     with child(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():
-            if re.match(r"(\d+ \| )?(run |.*a step takes about )|jobs go to |note: ", line) and line not in notes:
+            if (
+                re.match(r"(\d+ \| )?((.*: )?run |.*a step takes about )|jobs go to |note: ", line)
+                and line not in notes
+            ):
                 print(line, end="", flush=True)
             if line.startswith("note: "):
                 notes.add(line)

@@ -12,7 +12,6 @@ import pandas as pd
 import yaml  # type: ignore[import-untyped]
 from qnerf.analysis import command, load
 from qnerf.analysis.decide.records import records
-from qnerf.analysis.decide.records import title as comparison
 from qnerf.analysis.figures.files import title
 from qnerf.analysis.selection import SCENES, label, validating
 from qnerf.analysis.tables import Table, stability
@@ -107,7 +106,7 @@ def studied(folder: Path) -> str:
     parts = ["By `qnerf decide`, whose intervals hold over all its looks."] if looks else []
     for scene, baseline in dict.fromkeys((look["scene"], look["baseline"]) for look in looks):
         here = [look for look in looks if (look["scene"], look["baseline"]) == (scene, baseline)]
-        parts.append(f"{comparison(scene, 'against ' + baseline)}:")
+        parts.append(f"{scene + ', ' if scene else ''}against {baseline}:")
         parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here))
         searches = dict.fromkeys(found for look in here for found in look["searched"].split("; ") if found)
         parts += ["Chosen by the search:", "\n".join(f"- {found}" for found in searches)] if searches else []

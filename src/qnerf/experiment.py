@@ -149,27 +149,34 @@ def side_by_side(jobs: Sequence[Job]) -> list[Outcome | Exception]:
 
     def last_words() -> str | None:
         """Ends the records, if the last whole step of each is in a checkpoint."""
-        if any(training.trainer.saved != training.trainer.step for training in trainings):
+        going = list(trainings)
+        if not going or any(training.trainer.saved != training.trainer.step for training in going):
             return None
-        return "\n".join(dict.fromkeys(training.interrupt() for training in trainings))
+        return "\n".join(dict.fromkeys(training.interrupt() for training in going))
 
     first = jobs[0].display
     with devices.dealt(names[0], first.note, first.stopping) as device:
-        started = [partial(_run, job, device, trainings, lambda: bool(stops)) for job in jobs]
-        with contextlib.closing(Turns(started, devices.device_of(device))) as turns:
-            turns.round()  # all that comes before the first step
-            with stop_requests(last_words) as stops:
-                while turns.round():
-                    pass
+        beside = sum(not job.finished for job in jobs)
+        started = [partial(_run, job, device, beside, trainings, lambda: bool(stops)) for job in jobs]
+        turns = Turns(started, devices.device_of(device))
+        with stop_requests(last_words) as stops, contextlib.closing(turns):
+            while turns.round():
+                pass
     return turns.results()
 
 
 def _run(
-    job: Job, device: str, trainings: "list[_Training]", stopped: Callable[[], bool], aside: Mapping[str, str]
+    job: Job,
+    device: str,
+    beside: int,
+    trainings: "list[_Training]",
+    stopped: Callable[[], bool],
+    aside: Mapping[str, str],
 ) -> Generator[bool, None, Outcome]:
     """Yields before the first step and after each one, see `Turns`.
 
-    trainings: those that go on. aside: which compiled loops stepped aside, and why.
+    beside: how many train in turns. trainings: those that have begun and go on. aside: which compiled loops stepped
+    aside, and why.
     """
     prepared = replace(job.prepared, configuration=job.prepared.configuration.with_values({"device": device}))
     display, settings, task = job.display, prepared.settings, prepared.task
@@ -179,7 +186,7 @@ def _run(
 
     known = None
     if not job.finished and settings.torch_device.type == "cpu":
-        step = seconds_of_circuits(task.model, task.points_a_step)
+        step = beside * seconds_of_circuits(task.model, task.points_a_step)
         known = step > LONG and foretold("circuits alone: ", step, step * settings.train.steps, settings.run.hours)
     configuration = prepared.configuration
     columns = labels(configuration.acting) | parameter_counts(task.model) | auto.columns(prepared.decisions)
@@ -206,12 +213,15 @@ def _run(
         record.write_environment(capture(settings.seed), dirty_diff())
         if task.transform is not None:
             record.write_transform(task.transform.numpy())
-        training = _Training(task, record, display, stopped)
+        training = _Training(task, record, display, beside, stopped)
         trainings.append(training)
         try:
             yield False
-            beside = len(trainings)
-            return (yield from training.finish(aside, beside))
+            return (yield from training.finish(aside))
+        except Exception as error:
+            if beside > 1:  # the others go on
+                display.note(f"failed: {error}")
+            raise
         finally:
             trainings.remove(training)
 
@@ -243,8 +253,8 @@ def _compare(run: Path, configuration: Configuration, display: Display) -> None:
 class _Training:
     """A run from its last checkpoint, or from the start, to its results or to where it is stopped."""
 
-    def __init__(self, task: Task, record: Run, display: Display, stopped: Callable[[], bool]) -> None:
-        self.task, self.settings = task, task.settings
+    def __init__(self, task: Task, record: Run, display: Display, beside: int, stopped: Callable[[], bool]) -> None:
+        self.task, self.settings, self.beside = task, task.settings, beside
         self.record, self.display, self.stopped = record, display, stopped
         watch = Stopwatch(self.settings.torch_device, task.model, QuantumLayer)
         self.trainer, self.evaluator = task.trainer(watch), task.evaluator(watch)
@@ -262,8 +272,8 @@ class _Training:
         self.record.interrupt(step)
         return _stopped(step, self.settings.train.steps, self.settings.run.force)
 
-    def finish(self, aside: Mapping[str, str], beside: int) -> Generator[bool, None, Outcome]:
-        """aside: see `_run`. beside: how many trainings began in this process, with this one."""
+    def finish(self, aside: Mapping[str, str]) -> Generator[bool, None, Outcome]:
+        """aside: see `_run`."""
         if self.record.resumed:
             checkpoint = self.record.go_on(self.trainer.check)
             if checkpoint is not None:
@@ -278,8 +288,7 @@ class _Training:
         if not self.trainer.done or measured is None:
             return _stop(self.record, self.trainer.step, steps, self.pruned, self.settings.run.force)
         path = self.record.dir
-        times = self.timings() | logged_times(path) | {"time.beside": beside}
-        self.record.finish(measured | times | {"loops": dispatch.described(aside)})
+        self.record.finish(measured | self.timings() | logged_times(path) | {"loops": dispatch.described(aside)})
         return Outcome(self.record.run_id, path, "finished", read_summary(path), "")
 
     def train(self) -> Generator[bool, None, Measures | None]:
@@ -303,7 +312,7 @@ class _Training:
             self.show()
             if self.is_due():
                 measured = self.assess()
-            yield trainer.replayed
+            yield trainer.replayed and not self.is_due()
         self.show(now=True)
         if trainer.done and measured is None and not self.stopping():  # killed between the last checkpoint and the end
             _, measured = self.evaluate(self.task.eval)
@@ -312,7 +321,7 @@ class _Training:
     def foresee(self) -> None:
         """Says what the training is going to take, after a step without compiling; ValueError as `foretold`."""
         trainer, train = self.trainer, self.settings.train
-        step = trainer.step_seconds[-1]
+        step = self.beside * trainer.step_seconds[-1]
         self.taken += 1
         if self.taken != 2 + (step < LONG):
             return
@@ -372,7 +381,8 @@ class _Training:
             "step_ms": median_ms(self.trainer.step_seconds),
             "steps": self.trainer.step,
             "stopped": PLATEAU if self.trainer.plateau.reached else None,
-            "peak_memory_mb": peak_memory_mb(self.settings.torch_device),
+            "peak_memory_mb": peak_memory_mb(self.settings.torch_device) if self.beside == 1 else None,
+            "time.beside": self.beside,
             "time.threads": torch.get_num_threads(),
             "machine": machine(self.settings.torch_device),
         }

@@ -33,6 +33,25 @@ def test_progress_lines_say_phase_time_and_which_views(capsys):
         assert shown_text.count("evaluating") == shown_text.count("evaluating 4 views") == (not terminal)
 
 
+def test_displays_side_by_side_share_their_bars_and_say_which_run_a_line_is_of(capsys):
+    shown = Console(width=160, force_terminal=True, color_system=None)
+    first = LiveDisplay(shown, label="train.losses=[mse] seed=0")
+    second = LiveDisplay(Console(width=160), label="seed=[/1]", beside=first)
+    for display in (first, second):
+        display.begin(Path("runs/a"), 0, 10)
+    capsys.readouterr()
+    first.end()
+    second.phase("train")
+    second.note("still trains")
+    assert "seed=[/1]: still trains" in capsys.readouterr().out
+    assert second.progress.live.is_started
+    second.end()
+    assert not second.progress.live.is_started
+    shown_text = capsys.readouterr().out
+    assert "train.losses=[mse] seed=0: compile" in shown_text
+    assert "seed=[/1]: train" in shown_text
+
+
 def test_views_too_small_for_an_ssim_have_none(capsys):
     summary = {"eval_views": 2, "psnr": 20.0, "ssim": None, "params.total": 3, "train_s": 1.0, "step_ms": 2.0}
     print_outcome(console(), Outcome("a", Path("runs/a"), "finished", summary, ""))

@@ -30,15 +30,18 @@ def like_a_gpu(monkeypatch: Any) -> Iterator[None]:
         yield
 
 
-def compared(build: Callable[[], Loop]) -> tuple[Loop, Loop, str]:
-    """A training step by step, the same on a card, and what its record says about graphs. Both log the same."""
+def compared(build: Callable[[], Loop], every: int = 5) -> tuple[Loop, Loop, str]:
+    """A training step by step, the same on a card, and what its record says about graphs. Both log the same.
+
+    every: so many steps one is logged.
+    """
     plain, captured = build(), build()
     captured.graphs.card = FakeCard()  # type: ignore[assignment]
     logged = []
     with dispatch.report() as aside:
         for loop in (plain, captured):
             torch.manual_seed(0)
-            metrics = [loop.take_step(measure=(number + 1) % 5 == 0) for number in range(STEPS)]
+            metrics = [loop.take_step(measure=(number + 1) % every == 0) for number in range(STEPS)]
             logged.append([{key: value for key, value in row.items() if "time/" not in key} for row in metrics])
     assert logged[0] == logged[1]
     return plain, captured, aside.get("CUDA graph", "")
@@ -68,6 +71,13 @@ def test_a_recorded_training_is_the_plain_one(tiny: Any, options: tuple[str, ...
     plain, captured, reason = compared(lambda: trainer(config))
     assert not reason
     assert len(captured.graphs.recorded) == (1 if "sampler=uniform" in options else 2)
+    assert not differ(learnt(plain), learnt(captured))
+
+
+def test_steps_that_are_all_logged_are_recorded(tiny: Any) -> None:
+    config = tiny(*COMMON, *PROPOSAL, "field=classical")
+    plain, captured, reason = compared(lambda: trainer(config), every=1)
+    assert (reason, len(captured.graphs.recorded)) == ("", 2)
     assert not differ(learnt(plain), learnt(captured))
 
 

@@ -1,6 +1,7 @@
 """Trainings that take turns find what belongs to the process as they left it, and one does not end the others."""
 
 import contextlib
+import weakref
 from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
@@ -50,6 +51,26 @@ def test_an_error_ends_its_own_training_alone() -> None:
     error, (drawn, _) = ended(failing, drawing(1, 5))
     assert str(error) == "of one"
     assert len(drawn) == 5
+
+
+def test_a_training_that_fails_leaves_its_memory_to_the_others() -> None:
+    class Model:
+        pass
+
+    kept = []
+
+    def failing(aside: dict[str, str]) -> Generator[bool, None, Any]:
+        model = Model()
+        kept.append(weakref.ref(model))
+        yield True
+        raise ValueError(f"of {type(model).__name__}")
+
+    def training(aside: dict[str, str]) -> Generator[bool, None, Any]:
+        yield True
+        yield True
+        return kept[0]() is None
+
+    assert ended(failing, training)[1]
 
 
 def test_an_interruption_closes_all() -> None:

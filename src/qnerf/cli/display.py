@@ -38,7 +38,7 @@ class LiveDisplay(Display):
         label: str = "",
         beside: "LiveDisplay | None" = None,
     ) -> None:
-        self.console = console
+        self.console: Console = beside.console if beside else console
         self.changed = changed
         self.judge = judge
         self.label = label
@@ -46,8 +46,7 @@ class LiveDisplay(Display):
             beside.progress
             if beside
             else Progress(
-                TextColumn("{task.description}"),
-                TextColumn("{task.fields[phase]}"),
+                TextColumn("{task.fields[phase]}", markup=False),
                 BarColumn(max(8, min(40, console.width - BESIDE))),
                 MofNCompleteColumn(),
                 TimeElapsedColumn(),
@@ -78,11 +77,13 @@ class LiveDisplay(Display):
         self.every = max(1, steps // 10)
         self.steps = steps
         self.started = time.monotonic()
-        self.task = self.progress.add_task(self.label, total=steps, completed=step, status="", phase="compile")
+        self.task = self.progress.add_task(
+            "training", total=steps, completed=step, status="", phase=self.labelled("compile")
+        )
         self.progress.start()
 
     def phase(self, name: str) -> None:
-        self.progress.update(self.task, phase=name)
+        self.progress.update(self.task, phase=self.labelled(name))
         if self.progress.disable and name.startswith("evaluate 1 of ") and name != "evaluate 1 of 1 views":
             self.note(f"evaluating {name.removeprefix('evaluate 1 of ')}")
 
@@ -111,8 +112,10 @@ class LiveDisplay(Display):
         )
 
     def note(self, text: str) -> None:
-        text = f"{self.label}: {text}" if self.label else text
-        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+        self.console.print(self.labelled(text), highlight=False, markup=False, soft_wrap=True)
+
+    def labelled(self, text: str) -> str:
+        return f"{self.label}: {text}" if self.label else text
 
     def stopping(self) -> bool:
         return output_lost()

@@ -39,12 +39,12 @@ from qnerf.records import owner, state
 warnings.filterwarnings("ignore", message=r"\s*'hydra/launcher/\w+' is validated against ConfigStore schema")
 
 _jobs: list[Sweep | None] = []  # of the jobs that began in this process, the sweep
-_waiting: "list[list[Job]]" = []  # of a launcher that trains jobs side by side, those that it has begun
+_beside: "list[Launched] | None" = None  # of a launcher that trains jobs side by side, those that it has begun
 _full_errors: list[bool] = []  # whether the user asked for tracebacks, with Hydra's HYDRA_FULL_ERROR=1
 
 
 @dataclass
-class Job:
+class Launched:
     """One run, or a job of a sweep: its number there, and what the user typed."""
 
     sweep: Sweep | None
@@ -63,14 +63,14 @@ def job(composed: DictConfig) -> None:
     ends.escape_unencodable()  # in a launcher's process, too
     own = HydraConfig.get()
     multirun = own.mode == RunMode.MULTIRUN
-    one = Job(Sweep(own.sweep.dir) if multirun else None, own.job.num if multirun else 0, list(own.overrides.task))
+    one = Launched(Sweep(own.sweep.dir) if multirun else None, own.job.num if multirun else 0, list(own.overrides.task))
     _jobs.append(one.sweep)
     try:
         if ends.output_lost():
             sys.exit(ends.stopped_code())
         _begin(one, composed)
-        if _waiting:
-            _waiting[-1].append(one)
+        if _beside is not None:
+            _beside.append(one)
         else:
             _end(one, train(one.configuration, one.overrides, one.display))
     except KeyboardInterrupt:
@@ -83,32 +83,28 @@ def job(composed: DictConfig) -> None:
 @contextlib.contextmanager
 def together() -> Iterator[None]:
     """Jobs that begin inside wait for its end, and then train side by side."""
-    _waiting.append([])
+    global _beside
+    jobs: list[Launched] = []
+    _beside = jobs
     try:
         yield
     finally:
-        jobs = _waiting.pop()
+        _beside = None
     _train_beside(jobs)
 
 
 @ends.stoppable()
-def _train_beside(jobs: Sequence[Job]) -> None:
+def _train_beside(jobs: Sequence[Launched]) -> None:
     from qnerf.cli.training import train_beside
 
-    outcomes = train_beside([(one.configuration, one.overrides, one.display) for one in jobs])
-    stopped = None
-    for one, outcome in zip(jobs, outcomes, strict=True):
+    for number, outcome in train_beside([(one.configuration, one.overrides, one.display) for one in jobs]):
         if isinstance(outcome, Exception):
-            _failed(outcome, one)
-        elif outcome.state == "interrupted":
-            stopped = one, outcome
+            _failed(outcome, jobs[number])
         else:
-            _end(one, outcome)
-    if stopped:
-        _end(*stopped)
+            _end(jobs[number], outcome)
 
 
-def _failed(error: Exception, one: Job) -> None:
+def _failed(error: Exception, one: Launched) -> None:
     """Prints the error as one line. A bug keeps its traceback, and so does everything with HYDRA_FULL_ERROR=1."""
     from qnerf.training.trainer import Diverged
 
@@ -124,7 +120,7 @@ def _failed(error: Exception, one: Job) -> None:
     one.sweep.fail(one.number, one.overrides, reason)
 
 
-def _begin(one: Job, composed: DictConfig) -> None:
+def _begin(one: Launched, composed: DictConfig) -> None:
     """Composes the job's configuration, and says which job it is."""
     from qnerf.cli.display import LiveDisplay
     from qnerf.cli.training import note_without_effect
@@ -139,13 +135,13 @@ def _begin(one: Job, composed: DictConfig) -> None:
     one.configuration = Configuration.of(config)
     # A sweep has said so in its first line.
     changed = None if one.sweep else note_without_effect(one.configuration, one.overrides)
-    beside = _waiting[-1][0].display if _waiting and _waiting[-1] else None
-    label = sweeps.started[-1].own(one.overrides) if _waiting else ""
+    beside = _beside[0].display if _beside else None
+    label = "" if _beside is None else sweeps.started[-1].own(one.overrides)
     judge = _judge(one.sweep, config["store"])
     one.display = LiveDisplay(one.console, config["run"]["progress"], changed, judge, label, beside)
 
 
-def _end(one: Job, outcome: Any) -> None:
+def _end(one: Launched, outcome: Any) -> None:
     from qnerf.cli.display import print_outcome
 
     if one.display.label:

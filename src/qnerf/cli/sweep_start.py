@@ -22,7 +22,7 @@ EXTRAS = {
 """Launcher or sweeper -> the module that it needs, and the extra that installs it."""
 
 GRID, SEARCH = "hydra_plugins.qnerf.Grid", "hydra_plugins.qnerf_optuna.OptunaSweeper"
-BESIDE = "hydra_plugins.qnerf.SideBySide"
+SIDE_BY_SIDE = "hydra_plugins.qnerf.SideBySide"
 
 
 class SweepStart(Callback):
@@ -55,7 +55,7 @@ def _register(launcher: str, sweeper: str) -> None:
     if launcher == "side_by_side":
         from qnerf.cli.side_by_side import SideBySide
 
-        Plugins.instance().class_name_to_class[BESIDE] = SideBySide
+        Plugins.instance().class_name_to_class[SIDE_BY_SIDE] = SideBySide
     if sweeper == "qnerf_optuna":
         from qnerf.cli.search import OptunaSweeper
 

@@ -4,7 +4,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from qnerf import experiment
@@ -34,12 +34,14 @@ def train(config: Mapping[str, Any] | Configuration, overrides: Sequence[str], d
     return outcome
 
 
-def train_beside(asked: Sequence[tuple[Configuration, Sequence[str], Display]]) -> list[Outcome | Exception]:
-    """`qnerf.experiment.side_by_side` of these configurations, which share what they read of a scene: how each ended.
+def train_beside(
+    asked: Sequence[tuple[Configuration, Sequence[str], Display]],
+) -> Iterator[tuple[int, Outcome | Exception]]:
+    """`qnerf.experiment.side_by_side` of these configurations, which share what they read of a scene.
 
-    Those on another device, or of a run that stands there already, come after the others.
+    Yields the place of each and how it has ended; interrupted ones come last, and then no other begins. Those on
+    another device, or of a run that stands there already, come after the others.
     """
-    ended: dict[int, Outcome | Exception] = {}
     groups: list[dict[str, tuple[int, Job]]] = []
     scenes: dict[str, Scene] = {}
     for number, (configuration, overrides, display) in enumerate(asked):
@@ -47,7 +49,7 @@ def train_beside(asked: Sequence[tuple[Configuration, Sequence[str], Display]]) 
             key = repr(configuration.complete["scene"])
             prepared = prepare(_with_threads(configuration), scenes.get(key))
         except Exception as error:
-            ended[number] = error
+            yield number, error
             continue
         if isinstance(prepared.source, Scene):
             scenes[key] = prepared.source
@@ -63,8 +65,11 @@ def train_beside(asked: Sequence[tuple[Configuration, Sequence[str], Display]]) 
         group[job.name] = number, job
     for group in groups:
         numbers, jobs = zip(*group.values(), strict=True)
-        ended |= zip(numbers, experiment.side_by_side(jobs), strict=True)
-    return [ended[number] for number in range(len(asked))]
+        ended = list(zip(numbers, experiment.side_by_side(jobs), strict=True))
+        stopped = [isinstance(outcome, Outcome) and outcome.state == "interrupted" for _, outcome in ended]
+        yield from (one for _, one in sorted(zip(stopped, ended, strict=True), key=lambda pair: pair[0]))
+        if any(stopped):
+            return
 
 
 def note_without_effect(configuration: Configuration, overrides: Sequence[str]) -> list[str]:

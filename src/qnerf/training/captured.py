@@ -102,14 +102,14 @@ class Graphs:
     def stream(self) -> contextlib.AbstractContextManager[None]:
         return self.card.on_stream() if self.card else contextlib.nullcontext()
 
-    def compute(self, loop: Any, drawn: list[Tensor], measure: bool) -> tuple[Tensor, dict[str, Tensor]] | None:
+    def compute(self, loop: Any, drawn: list[Tensor]) -> tuple[Tensor, dict[str, Tensor]] | None:
         """The loss and its terms from a graph, with the gradients in place; None: go the plain way."""
         phase = loop.phase() if self.card else None
         if phase is None:
             return None
         if phase not in self.recorded:
             self.seen[phase] += 1
-            if measure or self.seen[phase] <= WARM or not self._record(phase, loop, drawn):
+            if self.seen[phase] <= WARM or not self._record(phase, loop, drawn):
                 return None
         graph = self.recorded[phase]
         for own, values in zip(graph.batch, drawn, strict=True):

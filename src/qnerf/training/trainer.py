@@ -128,15 +128,17 @@ class Loop:
 
     @contextlib.contextmanager
     def unread(self) -> Iterator[Unread]:
-        """Inside, nothing but what `phase` covers can read the number of the step, or the progress; and all terms are
-        computed, as in a step that is logged."""
+        """Inside, nothing but what `phase` covers can read the number of the step, or the progress; all terms are
+        computed, as in a step that is logged, and no stage is timed."""
         number: Any = Unread()
-        self.step, self.logged = number, True
+        timed, self.watch.active = self.watch.active, False
+        logged, self.step, self.logged = self.logged, number, True
         for part in self.paced:
             part.progress = number
         try:
             yield number
         finally:
+            self.watch.active, self.logged = timed, logged
             self._set_step(self._number)
 
     def take_step(self, measure: bool) -> dict[str, float]:
@@ -158,7 +160,7 @@ class Loop:
             with one_torch_thread(self.few_products and not is_plain()):
                 with self.watch.stage("sampling"):
                     drawn = self.draw()
-                recorded = self.graphs.compute(self, drawn, measure)
+                recorded = self.graphs.compute(self, drawn)
                 self.replayed = recorded is not None
                 loss, terms = recorded or self._gradients(drawn)
                 # Another device computes on while its next steps are sent. To read a number is to wait for it.

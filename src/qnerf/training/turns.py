@@ -1,5 +1,7 @@
 """Several trainings in one process, a step of each in turn: on a GPU their steps are computed side by side."""
 
+import contextlib
+import traceback
 from collections.abc import Callable, Generator, Sequence
 from typing import Generic, TypeVar
 
@@ -8,11 +10,12 @@ import torch
 from qnerf.kernels import dispatch
 
 T = TypeVar("T")
+Training = Callable[[dict[str, str]], Generator[bool, None, T]]
 
 
 class Turns(Generic[T]):
-    """Trainings that take turns. Each finds what belongs to the process as it has left it: PyTorch's random numbers on
-    the CPU, and the report of loops that step aside. On CUDA each has a stream of its own.
+    """Trainings that take turns. Each finds what belongs to the process as it has left it: PyTorch's threads and its
+    random numbers on the CPU, and the report of loops that step aside. On CUDA each of several has a stream of its own.
 
     Args:
         trainings: called with their report, they return what takes a step at every `next`, and returns its result. It
@@ -21,10 +24,9 @@ class Turns(Generic[T]):
         device: of all of them.
     """
 
-    def __init__(
-        self, trainings: Sequence[Callable[[dict[str, str]], Generator[bool, None, T]]], device: torch.device
-    ) -> None:
-        self._going = [_Turn(training, device) for training in trainings]
+    def __init__(self, trainings: Sequence[Training[T]], device: torch.device) -> None:
+        streams = device.type == "cuda" and len(trainings) > 1
+        self._going = [_Turn(training, torch.cuda.Stream(device) if streams else None) for training in trainings]
         self._all = list(self._going)
 
     def round(self) -> bool:
@@ -43,20 +45,23 @@ class Turns(Generic[T]):
 
     def close(self) -> None:
         """Ends the trainings that go on as an interruption does."""
-        for turn in self._going:
-            turn.training.close()
+        with contextlib.ExitStack() as stack:
+            for turn in self._going:
+                stack.callback(turn.training.close)
 
 
 class _Turn(Generic[T]):
-    def __init__(self, training: Callable[[dict[str, str]], Generator[bool, None, T]], device: torch.device) -> None:
+    def __init__(self, training: Training[T], stream: torch.cuda.Stream | None) -> None:
         self.aside: dict[str, str] = {}
         self.training = training(self.aside)
-        self.stream = torch.cuda.Stream(device) if device.type == "cuda" else None
-        self.random = torch.get_rng_state()
+        self.stream = stream
+        self.random, self.threads = torch.get_rng_state(), torch.get_num_threads()
         self.result: list[T | Exception] = []  # one, at the end
 
     def take(self) -> bool:
         torch.set_rng_state(self.random)
+        if self.threads != torch.get_num_threads():
+            torch.set_num_threads(self.threads)
         apart = False
         with torch.cuda.stream(self.stream), dispatch.report(self.aside):
             try:
@@ -64,10 +69,11 @@ class _Turn(Generic[T]):
             except StopIteration as end:
                 self.result = [end.value]
             except Exception as error:
+                traceback.clear_frames(error.__traceback__)  # they hold the model
                 self.result = [error]
-        self.random = torch.get_rng_state()
+        self.random, self.threads = torch.get_rng_state(), torch.get_num_threads()
         return apart
 
     def wait_for(self, other: "_Turn[T]") -> None:
-        if self.stream and other.stream:
+        if self.stream and other.stream and other is not self:
             self.stream.wait_stream(other.stream)
