@@ -49,7 +49,7 @@ class Launched:
 
     sweep: Sweep | None
     number: int
-    overrides: list[str]
+    overrides: list[str] = field(default_factory=list)
     console: Console = field(default_factory=Console)
     configuration: Any = None
     display: Any = None
@@ -63,7 +63,7 @@ def job(composed: DictConfig) -> None:
     ends.escape_unencodable()  # in a launcher's process, too
     own = HydraConfig.get()
     multirun = own.mode == RunMode.MULTIRUN
-    one = Launched(Sweep(own.sweep.dir) if multirun else None, own.job.num if multirun else 0, list(own.overrides.task))
+    one = Launched(Sweep(own.sweep.dir) if multirun else None, own.job.num if multirun else 0)
     _jobs.append(one.sweep)
     try:
         if ends.output_lost():
@@ -125,6 +125,7 @@ def _begin(one: Launched, composed: DictConfig) -> None:
     from qnerf.cli.display import LiveDisplay
     from qnerf.cli.training import note_without_effect
 
+    one.overrides = list(HydraConfig.get().overrides.task)
     plugins.load(list(composed.plugins))  # a launcher's process has not; what is resolved depends on their classes
     config: dict[str, Any] = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)  # type: ignore[assignment]
     _show_warnings()
