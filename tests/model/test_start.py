@@ -18,11 +18,12 @@ from tests.helpers.worlds import ball, write
         "needs=auto visibility.alpha=true",
     ],
 )
-def test_most_rays_start_half_opaque_in_a_thin_space(tmp_path, thin):
+@pytest.mark.parametrize("field", ["classical", "qdensity"])
+def test_most_rays_start_half_opaque_in_a_thin_space(tmp_path, field, thin):
     """Transparent over white, dark pixels are learnt as black fog before any colour moves."""
     folder = write(ball(views=6, size=24, focal=22, radius=0.1), tmp_path / "ball")
     scene = ("scene=nerfstudio", f"scene.path={folder}", "render.background=white", "hash=C7")
-    _, _, model, table, _ = built(composed("field=classical", *scene, *thin.split()))
+    _, _, model, table, _ = built(composed(f"field={field}", *scene, *thin.split()))
     rays, _ = table.batch(table.draw(400, torch.Generator().manual_seed(0)))
     edges = torch.linspace(table.near, min(table.far, table.near + REACH), 600)
     points = rays.origins[:, None] + rays.directions[:, None] * edges[None, :, None]

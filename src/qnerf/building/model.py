@@ -74,8 +74,11 @@ def build_model(settings: Settings, scene: Scene) -> Model:
         cameras = component(CAMERAS, settings.cameras, scene.cameras.poses.shape[0], scene.train)
         field.mask = sampler.mask = build_mask(settings, scene, field.contraction)
         near, far = bounds_of(scene, settings.render.near, settings.render.far)
-        # A thin space would start transparent: Adam then learns black fog in it before colours, and they die.
-        field.initial /= min(1.0, crossed(scene, field.contraction, field.mask, near, far))
+        # Where a thin space, or one within silhouettes, starts transparent, Adam learns black fog in it before colours,
+        # and they die. There is no room for the fog against which a recipe starts circuits thinner.
+        length = crossed(scene, field.contraction, field.mask, near, far)
+        if length < 1 or settings.visibility.alpha:
+            field.initial = max(field.initial, 1 / length)
         return Model(field, sampler, cameras, component(SHADINGS, settings.shading)).to(settings.torch_device)
     finally:
         torch.set_default_dtype(previous)
