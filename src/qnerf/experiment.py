@@ -137,13 +137,9 @@ def side_by_side(jobs: Sequence[Job]) -> list[Outcome | Exception]:
     """Trains the jobs, of different ids, on one device, a step of each in turn: how each ended, or what `run` raises.
 
     Each computes what it would compute alone. An interruption ends all of them.
-
-    Raises:
-        ValueError: the jobs name different devices.
     """
-    names = sorted({job.device for job in jobs if not job.finished}) or ["cpu"]
-    if len(names) > 1:
-        raise ValueError(f"runs side by side: expected one device, got device={','.join(names)}")
+    wanted = {job.device for job in jobs if not job.finished} or {"cpu"}
+    assert len(wanted) == 1, wanted
     trainings: list[_Training] = []
     stops: Sequence[int] = ()
 
@@ -155,7 +151,7 @@ def side_by_side(jobs: Sequence[Job]) -> list[Outcome | Exception]:
         return "\n".join(dict.fromkeys(training.interrupt() for training in going))
 
     first = jobs[0].display
-    with devices.dealt(names[0], first.note, first.stopping) as device:
+    with devices.dealt(wanted.pop(), first.note, first.stopping) as device:
         beside = sum(not job.finished for job in jobs)
         started = [partial(_run, job, device, beside, trainings, lambda: bool(stops)) for job in jobs]
         turns = Turns(started, devices.device_of(device))

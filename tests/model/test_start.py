@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from qnerf.config.folders import CONF
 from qnerf.geometry.visibility import REACH
 from tests.helpers.configs import composed
 from tests.helpers.trainer import built
@@ -18,7 +19,7 @@ from tests.helpers.worlds import ball, write
         "needs=auto visibility.alpha=true",
     ],
 )
-@pytest.mark.parametrize("field", ["classical", "qdensity"])
+@pytest.mark.parametrize("field", sorted(path.stem for path in (CONF / "field").glob("*.yaml")))
 def test_most_rays_start_half_opaque_in_a_thin_space(tmp_path, field, thin):
     """Transparent over white, dark pixels are learnt as black fog before any colour moves."""
     folder = write(ball(views=6, size=24, focal=22, radius=0.1), tmp_path / "ball")
