@@ -38,8 +38,9 @@ How far each part is from float64, on ordinary and on hard inputs. `python -m be
 - **faster**: the median, over the cases, of the plain form's time divided by the loop's; one thread, forward and
   backward.
 
-No part runs in bfloat16. Derivatives of second and higher order, forward-mode derivatives and `torch.func` go through
-the plain form; tests compare them with finite differences (`tests/model/test_derivatives.py`).
+`numerics.precision=mixed`, in bfloat16, is not measured here. Derivatives of second and higher order, forward-mode
+derivatives and `torch.func` go through the plain form; tests compare them with finite differences
+(`tests/model/test_derivatives.py`).
 
 The gradient of a normalisation has a wide bound: with a batch of two it divides by their difference, which enlarges
 roundings.
