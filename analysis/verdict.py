@@ -106,20 +106,29 @@ def pooled(squares: np.ndarray, freedoms: np.ndarray) -> tuple[float, float]:
 def yuen(baseline: np.ndarray, other: np.ndarray) -> tuple[float, float, float]:
     """Difference of the trimmed means, its standard error and degrees of freedom: 0 for a group of one.
 
-    Groups of fewer than `TRIMMED_FROM` are not trimmed: then it is Welch's test of the means.
+    A value may be infinite where it is trimmed.
     """
-    centres, squares, freedoms = np.array([trimmed(np.sort(group)) for group in (baseline, other)]).T
+    share = trim(baseline, other)
+    centres, squares, freedoms = np.array([trimmed(np.sort(group), share) for group in (baseline, other)]).T
     difference = float(centres[1] - centres[0])
     if freedoms.min() < 1:
         return difference, float("nan"), 0.0
-    squares *= squares.sum() > (1e-12 * np.abs([*baseline, *other]).max()) ** 2  # rounding alone is no spread
+    squares *= squares.sum() > (1e-12 * np.abs(centres).max()) ** 2  # rounding alone is no spread
     return difference, *pooled(squares, freedoms)
 
 
-def trimmed(values: np.ndarray) -> tuple[float, float, int]:
+def trim(*groups: Sequence[float] | np.ndarray) -> float:
+    """The share that is trimmed of these groups: of all alike, and of none where one is small.
+
+    Where none is trimmed, Yuen's test is Welch's of the means.
+    """
+    return TRIM if min(map(len, groups)) >= TRIMMED_FROM else 0.0
+
+
+def trimmed(values: np.ndarray, share: float) -> tuple[float, float, int]:
     """Trimmed mean of sorted values, its squared error by the winsorised variance, and degrees of freedom."""
     number = len(values)
-    cut = int(TRIM * number) if number >= TRIMMED_FROM else 0
+    cut = int(share * number)
     kept = number - 2 * cut
     if kept < 2:
         return float(values.mean()), float("nan"), 0
@@ -147,17 +156,21 @@ def verdict(
     """The verdict on the runs of `other` against the runs of `baseline`, a value a run.
 
     comparisons: how many rows the table has; a star stands where the verdict holds at alpha / comparisons, too.
-    A run that diverged has no value and only counts as a slip. ValueError for a value of infinity: an exact fit has no
-    PSNR.
+    A run that diverged (NaN) is the worst of its group. Where more diverged than are trimmed, the verdict is undecided,
+    and the difference that of the other runs. ValueError for a value of infinity: an exact fit has no PSNR.
     """
     groups = [np.asarray(group, dtype=float) for group in (baseline, other)]
     if infinite := sum(int(np.isinf(group).sum()) for group in groups):
         raise ValueError(f"{metric} of {infinite} runs is infinite, so their mean says nothing: compare another metric")
     item = metric_of(metric)
     kept = [group[~np.isnan(group)] for group in groups]
+    worst = [np.where(np.isnan(group), -item.sign * np.inf, group) for group in groups]
     seeds = len(groups[0]), len(groups[1])
     slipped = slips(groups[0], item.unit), slips(groups[1], item.unit)
-    found = yuen(*kept) if min(map(len, kept)) else (np.nan, np.nan, 0.0)
+    if all(len(group) - len(own) <= int(trim(*groups) * len(group)) for group, own in zip(groups, kept, strict=True)):
+        found = yuen(*worst) if min(seeds) else (np.nan, np.nan, 0.0)
+    else:
+        found = (yuen(*kept)[0] if min(map(len, kept)) else np.nan, np.nan, 0.0)
     made = judge(*found, within, sign=item.sign, alpha=alpha)
     strict = judge(*found, within, sign=item.sign, alpha=alpha / comparisons).kind if comparisons else "undecided"
     star, uneven = made.kind == strict != "undecided", fisher(slipped, seeds) < alpha

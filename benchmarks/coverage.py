@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from qnerf.analysis import load
 from qnerf.analysis.decide.looks import MOST, shares
-from qnerf.analysis.verdict import Verdict, evaluations, trimmed, verdict
+from qnerf.analysis.verdict import TRIM, Verdict, evaluations, trimmed, verdict
 
 RESULTS = Path(__file__).parent / "results" / "coverage.parquet"
 SEEDS_PACK = Path(__file__).parents[1] / "docs" / "results" / "seeds"
@@ -48,7 +48,7 @@ def pairs(store: Path) -> list[tuple[np.ndarray, np.ndarray]]:
 def population(values: np.ndarray, drop: float) -> np.ndarray:
     """What runs are drawn from: the values, of which a tenth is lower by `drop` dB; their trimmed mean is 0."""
     found = np.sort(np.r_[np.tile(values, 9), values - drop])
-    return found - trimmed(found)[0]
+    return found - trimmed(np.sort(found), TRIM)[0]
 
 
 def searched(random: np.random.Generator, luck: float) -> float:

@@ -5,6 +5,7 @@ import itertools
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ from qnerf.training.forecast import announced
 from .. import command
 from ..selection import TUNING, colorless, measured
 from ..tables.differences import interval
-from ..verdict import verdict, within_of
+from ..verdict import trim, trimmed, verdict, within_of
 from .looks import FIRST, MOST, looks, shares
 from .records import is_command, name_of, names_of, title
 from .study import Question, Record, trained
-from .tune import AGAIN, tune
+from .tune import AGAIN, asked_spaces, spaces, tune
 
 DESCRIPTION = """\
 Trains seeds of each candidate until it is decided which is better, or that they are equivalent, or until the end of
@@ -78,6 +79,7 @@ def check(question: Question) -> None:
         lower = metric_of(question.metric).sign < 0
         print(f"{question.metric}: {'lower' if lower else 'higher'} is better")
         return
+    asked_spaces(question)
     if question.metric not in (known := [item.key for item in quality_metrics()]):
         raise ValueError(f"--metric {question.metric}: measured by no run; known: {', '.join(known)}")
     places = {"a candidate": question.candidates, "--all": [question.common], "--scene": question.scenes}
@@ -114,7 +116,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--metric", default="psnr", help="default: %(default)s")
     made.add_argument(
         "--budget", type=duration, default="2h", metavar="TIME",
-        help="of all trainings together, such as 90m; default: %(default)s",
+        help="of all trainings together, such as 90m, the search and six seeds of each at least; default: %(default)s",
     )  # fmt: skip
     made.add_argument(
         "--equal", choices=("steps", "time"), default="steps",
@@ -143,6 +145,8 @@ def duration(text: str) -> float:
 def study(record: Record, store: Path, budget: float) -> None:
     """Trains and looks until everything is decided or the last look, which `budget` seconds of training pay for."""
     question, foresee, called = record.question, foreseer(record, budget), names_of(record.question.candidates)
+    if question.tune and not record.spaces:
+        record.spaces = {title(at, name): own for at in question.scenes for name, own in spaces(record, at).items()}
     record.register(budget, store)
     said: list[str] = []
     for scene in question.scenes if question.tune and not record.looks else ():
@@ -166,7 +170,8 @@ def study(record: Record, store: Path, budget: float) -> None:
         }
         cost = {(scene, name): run["train_s"].median() for scene in scenes for name, run in frames[scene].items()}
         if not record.most:
-            record.most = most(budget, sum(cost.values()))
+            spent = sum(one["seconds"] for one in record.tuned.values())
+            record.most = most(budget - spent, sum(cost.values()))
         alpha = shares(record.most)[count] / question.comparisons
         for scene in scenes:
             values = {name: runs[question.metric] for name, runs in frames[scene].items()}
@@ -240,6 +245,8 @@ def runs_of(
     if len(ended) and metric not in (known := measured(ended)):
         raise ValueError(f"{title(scene, name)}: no {metric}; choose another --metric: {', '.join(known)}")
     record.runs[title(scene, name)] = list(map(str, frame.index))
+    registered = datetime.fromisoformat(record.registered["time"]).timestamp()
+    record.earlier[title(scene, name)] = int((frame["created"] < registered).sum())
     ids = [run for own in record.runs.values() for run in own]
     if twice := next((run for run in ids if ids.count(run) > 1), None):
         known = "its config lacks the seed, or what tells candidates apart"
@@ -257,8 +264,9 @@ def judged(
     A race ends where no candidate is better than the leader by `within`.
     """
     race = len(question.candidates) > 2
-    medians = pd.Series({name: own.median() for name, own in values.items()}) * metric_of(question.metric).sign
-    baseline = str(medians.fillna(-np.inf).idxmax()) if race else question.candidates[0]
+    sign = metric_of(question.metric).sign
+    typical = {name: trimmed(np.sort((sign * own).fillna(-np.inf)), trim(own))[0] for name, own in values.items()}
+    baseline = max(typical, key=typical.__getitem__) if race else question.candidates[0]
     found = {
         name: verdict(values[baseline], own, question.within, metric=question.metric, alpha=alpha)
         for name, own in values.items()

@@ -24,8 +24,11 @@ def records(store: str | Path) -> pd.DataFrame:
             last = looks[looks["ended"] | (looks["seeds"] == looks.groupby("scene")["seeds"].transform("max"))]
             asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
             steps = ", ".join(f"{name} {count}" for name, count in found["steps"].items())
-            changes = "; ".join(f"budget {change['budget']:g} s at {change['time']}" for change in found["changes"])
-            study = {"registered": found["registered"]["time"], "changes": changes}
+            changes = [f"budget {change['budget']:g} s at {change['time']}" for change in found["changes"]]
+            if earlier := sum(found["earlier"].values()):
+                count = sum(map(len, found["runs"].values()))
+                changes.append(f"{earlier} of {count} judged runs are older than the record")
+            study = {"registered": found["registered"]["time"], "changes": "; ".join(changes)}
             how = [searched(found["tuned"], look) for look in last.to_dict("records")]
             for_all = [word for word in asked["common"].split() if word.startswith(("scene=", "scene."))]
             last = last.replace({"scene": {"": name_of(" ".join(for_all))}})

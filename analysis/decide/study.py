@@ -65,8 +65,10 @@ class Record:
     name: of the file; another question, or the same about other runs, has another. runs: "scene: candidate" -> the ids
     of its runs. most: seeds a side at the last look, fixed after the first. steps: "scene: candidate" -> training steps
     where CPU time is to be equal. looks: what each look at each comparison found, in order; `ended`: that was its last.
-    tuned: "scene: candidate" -> what was searched, what was chosen and what it cost. registered: when the record was
-    written, before the first run, and the budget in seconds; changes: the same of later commands with another budget.
+    spaces: "scene: candidate" -> option -> the values that its search may choose. tuned: "scene: candidate" -> what was
+    tried, what was chosen and what it cost. registered: when the record was written, before the first run, and the
+    budget in seconds; changes: the same of later commands with another budget. earlier: "scene: candidate" -> how many
+    of its runs were begun before, by another study or a sweep.
     """
 
     question: Question
@@ -75,7 +77,9 @@ class Record:
     most: int = 0
     steps: dict[str, int] = field(default_factory=dict)
     looks: list[dict[str, Any]] = field(default_factory=list)
+    spaces: dict[str, dict[str, str]] = field(default_factory=dict)
     tuned: dict[str, dict[str, Any]] = field(default_factory=dict)
+    earlier: dict[str, int] = field(default_factory=dict)
     registered: dict[str, Any] = field(default_factory=dict)
     changes: list[dict[str, Any]] = field(default_factory=list)
 
@@ -103,8 +107,13 @@ class Record:
         return [name for name in self.question.candidates if name not in ended]
 
     def save(self, store: Path) -> None:
+        """Writes the record; what another process has registered or fixed since stays."""
         path = store / FOLDER / f"{self.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            known = read_json(path)
+            self.registered, self.most = known["registered"], known["most"] or self.most
+            self.changes = max(known["changes"], self.changes, key=len)
         replace(path, json.dumps(asdict(self), indent=1).encode())
 
     @classmethod

@@ -12,17 +12,33 @@ import numpy as np
 from qnerf.building.configuration import Configuration
 from qnerf.building.model import parameter_counts
 from qnerf.building.scene import prepare
+from qnerf.cli import compose
 from qnerf.cli.compose import configuration
 from qnerf.config.settings import HEAD_GROUPS
 from qnerf.metrics import metric_of
 
 from ..selection import TUNING
 from .records import title
-from .study import Record, found, started, trained
+from .study import Question, Record, found, started, trained
 
 SHARE = 0.1  # of the training views, held out for validation
 WIDTHS = (2, 4, 8)  # of heads that are built to count their parameters
 AGAIN = 3  # trials that are trained again with new seeds before one is chosen
+
+
+def asked_spaces(question: Question) -> dict[str, str]:
+    """Option -> its values, of `--space`; ValueError where a search cannot have them, or there is none."""
+    if question.tune < 0:
+        raise ValueError(f"--tune {question.tune}: expected a number of trials, 1 or more")
+    asked = dict(text.partition("=")[::2] for text in question.space)
+    if asked and not question.tune:
+        raise ValueError(f"--space {question.space[0]}: is of a search; give --tune N, too")
+    if len(asked) < len(question.space):
+        raise ValueError(f"--space: expected each option once, got {' '.join(question.space)}")
+    for text in question.space:
+        if not compose.parse(text).is_sweep_override():
+            raise ValueError(f"--space {text}: expected several values; one value stands in a candidate or in --all")
+    return asked
 
 
 def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
@@ -31,16 +47,18 @@ def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
     An option that a candidate sets itself stays as it is, and depth is searched with the width that keeps the number of
     parameters. `--space` replaces values, and adds options that act.
 
+    The record keeps them from before its first run.
+
     Raises:
         ValueError: nothing is left to search for a candidate, or `--space` names an option of none.
     """
     asked_for = replace(record, tuned={})  # also where a part of the study was searched before
     trees = {name: configuration(asked_for.words(scene, name)) for name in record.question.candidates}
     groups = [part for part in HEAD_GROUPS if len({json.dumps(tree.get(part)) for tree in trees.values()}) > 1]
-    asked = dict(text.partition("=")[::2] for text in record.question.space)
+    asked = asked_spaces(record.question)
     made = {}
     for name, tree in trees.items():
-        typed = {word.partition("=")[0] for word in name.split()}
+        typed = {word.partition("=")[0] for word in f"{scene} {record.question.common} {name}".split()}
         own = {
             f"train.rates.{part}" if key == "rate" else f"{part}.{key}": values
             for part in groups
@@ -50,7 +68,8 @@ def spaces(record: Record, scene: str) -> dict[str, dict[str, str]]:
             part, head, _ = depth.split(".")
             if "width" in tree[part][head]:  # one option of both, so that neither is searched where one is typed
                 values = own.pop(depth)
-                if not {f"{place}.{key}" for place in (f"{part}.{head}", head) for key in ("layers", "width")} & typed:
+                both = {f"{place}.{key}" for place in (f"{part}.{head}", head) for key in ("layers", "width")}
+                if not both & {*typed, *asked}:
                     own[f"{part}.{head}"] = balanced(asked_for.words(scene, name), part, head, values.split(","))
         acting = {option.name for option in Configuration.of(tree).options}
         own |= {option: values for option, values in asked.items() if option in {*own, *acting}}
@@ -85,18 +104,21 @@ def balanced(words: Sequence[str], part: str, head: str, depths: Sequence[str]) 
 def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], object]) -> None:
     """Searches each candidate of the scene that was not searched yet; the record keeps what was chosen and its cost."""
     question = record.question
-    for name, space in spaces(record, scene).items():
+    for name in question.candidates:
         if title(scene, name) in record.tuned:
             continue
+        space = record.spaces[title(scene, name)]
         overrides = record.words(scene, name)
         unseen = prepare(configuration(overrides)).task.tests_unseen
         overrides += [f"scene.validation={SHARE}"] * unseen
-        own = trained(overrides, TUNING[:1], store, foresee)[question.metric].iloc[0]  # its own options come first
-        tried: list[dict[str, Any]] = [
-            {"state": "finished" if np.isfinite(own) else "diverged", "values": [own], "overrides": []}
-        ]
-        if question.tune > 1:
-            tried += searched(record, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)
+        first = trained(overrides, TUNING[:1], store, foresee)  # its own options come first
+        own, run = float(first[question.metric].iloc[0]), str(first.index[0])
+        state = "finished" if np.isfinite(own) else "diverged"
+        tried: list[dict[str, Any]] = [{"state": state, "values": [own], "overrides": []}]
+        for count in (question.tune - 1, question.tune):  # the search may count its own options as one of its trials
+            if count and len(tried) < question.tune:
+                others = searched(record, count, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)
+                tried[1:] = [trial for trial in others if run not in trial["runs"]][: question.tune - 1]
         finished = [trial for trial in tried if trial["state"] == "finished"]
         if not finished:
             raise ValueError(f"{title(scene, name)}: no trial of the search finished")
@@ -105,16 +127,16 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
         again = {}
         for trial in finished[:AGAIN]:
             runs = trained([*overrides, *trial["overrides"]], TUNING[1:], store, foresee)
-            again[tuple(trial["overrides"])] = float(sign * runs[question.metric].mean())
-        runs = [[*overrides, *trial["overrides"]] for trial in finished]
-        first = [found(one, TUNING[:1], store)["train_s"].sum() for one in runs]
-        more = [found([*overrides, *point], TUNING[1:], store)["train_s"].sum() for point in again]
-        chosen = list(max(again, key=lambda point: again[point] if np.isfinite(again[point]) else -np.inf))
+            again[tuple(trial["overrides"])] = float(runs[question.metric].mean(skipna=False))
+        seeds = [(trial["overrides"], TUNING[:1]) for trial in finished] + [(point, TUNING[1:]) for point in again]
+        seconds = sum(found([*overrides, *point], own, store)["train_s"].sum() for point, own in seeds)
+        chosen = list(max(again, key=lambda point: sign * again[point] if np.isfinite(again[point]) else -np.inf))
         record.tuned[title(scene, name)] = {
-            "space": space,
             "trials": len(tried),
+            "scores": [[trial["overrides"], *trial["values"], trial["state"]] for trial in tried],
+            "again": [[list(point), score] for point, score in again.items()],
             "chosen": chosen,
-            "seconds": float(sum(first) + sum(more)),
+            "seconds": float(seconds),
             "validation": SHARE if unseen else "other seeds: nothing was held out",
             "expected": expected([trial["values"][0] for trial in finished], sign),
         }
@@ -125,16 +147,21 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
 
 
 def searched(
-    record: Record, overrides: Sequence[str], space: dict[str, str], store: Path, foresee: Callable[[float], object]
+    record: Record,
+    count: int,
+    overrides: Sequence[str],
+    space: dict[str, str],
+    store: Path,
+    foresee: Callable[[float], object],
 ) -> list[dict[str, Any]]:
-    """All trials but the first, by the search of `qnerf run`; the store is its memory."""
+    """`count` trials or more, by the search of `qnerf run`; the store is its memory."""
     from qnerf.cli.search import TRIALS  # needs Optuna, which only a search may ask for
 
     question = record.question
     folder = store / ".sweeps" / f"tune-{uuid.uuid4().hex[:12]}"
     started(
         [
-            "hydra/sweeper=qnerf_optuna", f"hydra.sweeper.n_trials={question.tune - 1}", "hydra.sweeper.sampler=random",
+            "hydra/sweeper=qnerf_optuna", f"hydra.sweeper.n_trials={count}", "hydra.sweeper.sampler=random",
             "hydra.sweeper.prune.percentile=0", f"hydra.sweeper.objectives=[{question.metric}]",
             f"hydra.sweep.dir={folder}", *overrides, f"store={store}",
             *(f"{option}={values}" for option, values in space.items()),

@@ -110,6 +110,7 @@ def studied(folder: Path) -> str:
         parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here))
         searches = dict.fromkeys(found for look in here for found in look["searched"].split("; ") if found)
         parts += ["Chosen by the search:", "\n".join(f"- {found}" for found in searches)] if searches else []
+        parts += [f"Of this record: {told}." for told in dict.fromkeys(look["changes"] for look in here) if told]
     return "\n\n".join(parts)
 
 

@@ -93,6 +93,7 @@ class Trainings:
         self.stopped = None
         self.contents = ""  # of the scene
         self.seconds = 30.0
+        self.created = np.inf  # after every record
 
     def __call__(self, overrides, seeds, store, foresee):
         foresee(self.seconds)
@@ -109,6 +110,7 @@ class Trainings:
             "train_s": self.seconds,
             "step_cpu_ms": {"x=a": 10.0}.get(name, 20.0),
             "train.steps": 100,
+            "created": self.created,
         }
         return pd.DataFrame(rows, index=[f"{' '.join(overrides)} {n}" for n in seeds])
 
@@ -228,6 +230,16 @@ def test_several_all_are_one(trainings, tmp_path):
         (["field=qcolor", "field=classical", "--all", "run.force=true"], "run.force=true: finished runs count"),
         (["field=qcolor,qboth", "field=classical"], "field=qcolor,qboth: expected one value in a candidate"),
         (["head=mlp", "head=siren", "scene=photograph"], "scene=photograph: .* --scene or --all scene=photograph"),
+        (["head=mlp", "head=siren", "--tune", "-1"], "--tune -1: expected a number of trials, 1 or more"),
+        (["head=mlp", "head=siren", "--space", "head.mlp.width=8,16"], "--space .*: is of a search; give --tune N"),
+        (
+            ["head=mlp", "head=siren", "--tune", "2", "--space", "head.mlp.width=8"],
+            "--space head.mlp.width=8: expected several values; one value stands in a candidate or in --all",
+        ),
+        (
+            ["head=mlp", "head=siren", "--tune", "2", *["--space", "head.mlp.width=8,16"] * 2],
+            "--space: expected each option once",
+        ),
         (
             ["head=mlp", "head=siren", "--all", "train.rays=8", "train.steps=2"],
             "train.steps=2: sets none of head, .* it is --all train.steps=2",
@@ -278,6 +290,9 @@ def test_the_record_is_written_before_the_first_run_and_keeps_later_budgets(trai
     kept = json.loads(path.read_text())
     assert (kept["registered"], [change["budget"] for change in kept["changes"]]) == (first, [7200])
     assert "budget 7200 s at" in records(tmp_path)["changes"].iloc[0]
+    trainings.created = 0.0
+    decide.main(["x=a", "x=c", "--store", str(tmp_path)])
+    assert "12 of 12 judged runs are older than the record" in set(records(tmp_path)["changes"])
 
 
 SIRENS = ("color=mlp color.mlp.layers=3", "color=siren")
@@ -290,10 +305,14 @@ def test_the_space_is_that_of_the_heads_in_which_candidates_differ():
     rate = {"train.rates.color": "tag(log,interval(0.1,3))"}
     assert found[SIRENS[0]] == {**rate, "color.mlp.init": "torch,he", "color.mlp.width": "8,16"}
     assert found[SIRENS[1]]["color.siren.omega"] == "5,10"
+    shared = dataclasses.replace(question, common=f"{SMALL} color.mlp.init=he train.rates.color=1")
+    assert set(spaces(Record(shared, ""), "")[SIRENS[0]]) == {"color.mlp.width"}  # what all have stays
+    bare = dataclasses.replace(question, candidates=("color=mlp", "color=siren"))
+    assert "color.mlp" not in spaces(Record(bare, ""), "")["color=mlp"]  # no depth against a width that is asked for
     with pytest.raises(
         ValueError, match=r"^--space density.siren.omega: searched in no candidate; known: color.mlp.init"
     ):
-        spaces(Record(dataclasses.replace(question, space=("density.siren.omega=8",)), ""), "")
+        spaces(Record(dataclasses.replace(question, space=("density.siren.omega=8,9",)), ""), "")
 
 
 def test_depth_is_searched_with_the_width_that_keeps_the_number_of_parameters():
@@ -327,32 +346,36 @@ def test_the_expected_best_of_several_trials():
 
 def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_path, monkeypatch):
     """The best of the search is trained again with two new seeds; what it says there decides. A kill loses nothing."""
-    scores = {"omega=1": (25.0, 20.0), "omega=2": (24.0, 23.0), "omega=3": (22.0, 22.0), "omega=4": (21.0, 29.0)}
+    scores = {"omega=1": (25.0, 20.0), "omega=2": (24.0, 23.0), "omega=3": (22.0, 22.0), "omega=4": (26.0, np.nan)}
     asked = []
 
-    def searched(record, overrides, space, store, foresee):
-        asked.append(overrides)
-        return [{"state": "finished", "values": [scores[key][0]], "overrides": [key]} for key in scores]
+    def searched(record, count, overrides, space, store, foresee):
+        asked.append((count, overrides))
+        own = {"state": "finished", "values": [20.0], "overrides": ["omega=30"], "runs": ["own"]}
+        return [own, *(own | {"values": [scores[key][0]], "overrides": [key], "runs": [key]} for key in scores)][:count]
 
     def again(overrides, seeds, store, foresee):
         assert "scene.validation=0.1" in overrides
         if list(seeds) == [TUNING[0]]:  # its own options, the first trial
-            return pd.DataFrame({"psnr": [20.0]})
+            return pd.DataFrame({"psnr": [20.0]}, index=["own"])
         assert list(seeds) == list(TUNING[1:])
-        return pd.DataFrame({"psnr": [scores[overrides[-1]][1]] * 2})
+        return pd.DataFrame({"psnr": [scores[overrides[-1]][1], 30.0 if overrides[-1] == "omega=4" else 23.0]})
 
-    monkeypatch.setattr(tuning, "spaces", lambda record, scene: {key: {} for key in record.question.candidates})
     monkeypatch.setattr(tuning, "searched", searched)
     monkeypatch.setattr(tuning, "trained", again)
     monkeypatch.setattr(tuning, "found", lambda *_: pd.DataFrame({"train_s": [30.0]}))
-    record = Record(Question(SIRENS, ("scene=poster",), "field=classical", 0.5, tune=4), "x")
+    record = Record(Question(SIRENS, ("scene=poster",), "field=classical", 0.5, tune=5), "x")
+    record.spaces = {f"poster: {name}": {} for name in SIRENS}
     tuning.tune(record, "scene=poster", tmp_path, [].append)
-    assert [one["chosen"] for one in record.tuned.values()] == [["omega=2"], ["omega=2"]]  # omega=4 was not among three
+    assert [one["chosen"] for one in record.tuned.values()] == [["omega=2"]] * 2  # omega=4 diverged on a new seed
     assert record.words("scene=poster", SIRENS[1])[-1] == "omega=2"
-    assert {one["seconds"] for one in record.tuned.values()} == {8 * 30.0}
-    assert all(f"seed={TUNING[0]}" in overrides for overrides in asked)
+    one = record.tuned[f"poster: {SIRENS[0]}"]
+    assert [trial[0] for trial in one["scores"]] == [[], *([key] for key in scores)]  # its own options once
+    assert (one["trials"], one["seconds"], len(one["expected"])) == (5, 8 * 30.0, 5)
+    assert [count for count, _ in asked] == [4, 5] * 2
+    assert all(f"seed={TUNING[0]}" in overrides for _, overrides in asked)
     tuning.tune(record, "scene=poster", tmp_path, [].append)
-    assert len(asked) == 2
+    assert len(asked) == 4
 
 
 def test_scenes_are_named_by_their_folders(trainings, tmp_path):

@@ -81,12 +81,21 @@ def test_a_star_holds_for_all_rows_together():
 
 def test_a_slip_is_counted_and_does_not_decide():
     good = [24.0, 24.1, 23.9, 24.2, 24.0, 24.1, 24.2]
-    found = verdict(good, [*good[:6], 9.0, np.nan], 0.5)
-    assert (found.seeds, found.slipped, found.kind) == ((7, 8), (0, 2), "equivalent")
-    assert found.text() == "equivalent; slipped 2 of 8"
+    found = verdict(good, [*good, 24.0, 9.0, np.nan], 0.5)
+    assert (found.seeds, found.slipped, found.kind) == ((7, 10), (0, 2), "equivalent")
+    assert found.text() == "equivalent; slipped 2 of 10"
     assert verdict(good, [*good[:2], *[9.0] * 5], 0.5).kind == "worse"  # the typical run itself
     assert verdict(good[:1], [np.nan, np.nan], 0.5).slipped == (0, 2)
+    for few in ([25.0, 25.1] + [np.nan] * 4, [25.0, 25.1, np.nan]):  # more than are trimmed: the rest is no typical run
+        assert verdict(good, few, 0.5).kind == "undecided"
+    low = verdict(good, [*good[:5], np.nan], 0.5)
+    assert low.difference == verdict(good, [*good[:5], -50.0], 0.5).difference  # the worst run, not one that is absent
     assert verdict([0.1, 0.2], [0.1, 9.0], 0.1, metric="distance_error").slipped == (0, 0)  # no dB
+
+
+def test_both_sides_are_trimmed_or_none():
+    few, many = [20.0, 21.0, 25.0], [20.0, 20.1, 20.2, 20.3, 20.4, 27.0]
+    assert verdict(few, many, 0.5).difference == pytest.approx(np.mean(many) - np.mean(few))
 
 
 def test_an_infinite_value_is_refused():

@@ -49,7 +49,6 @@ UNVALIDATED = (
 )
 OPTIONS: Mapping[str, Any] = {
     "objectives": Annotated[list[str], MinLen(1)],
-    "constraints": list[str],
     "n_trials": PositiveInt,
     "n_jobs": PositiveInt,
     "seeds": Annotated[list[Seed], MinLen(1)] | None,
@@ -149,7 +148,7 @@ class OptunaSweeper(Sweeper):
                     print(line, flush=True)
             self.jobs += len(jobs)
 
-        history = History(space, options["objectives"], store, ids, self._defaults(space), options["constraints"])
+        history = History(space, options["objectives"], store, ids, self._defaults(space))
         plan = Options(options["n_trials"], options["n_jobs"], options["sampler"], options["startup"], options["seed"])
         trials = search(history, plan, launch)
         for point, reason in history.rejected.items():
@@ -191,7 +190,7 @@ def size(space: Space) -> float:
 def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> None:
     """Prints the best trials, or the Pareto front of several objectives."""
     if len(objectives) == 1:
-        finished = [trial for trial in trials if trial.state == "finished" and trial.allowed]
+        finished = [trial for trial in trials if trial.state == "finished"]
         upwards = goals.direction(objectives[0]) == "maximize"
         listed = sorted(finished, key=lambda trial: trial.values[0], reverse=upwards)[:SHOWN]
         title = f"best {len(listed)} of {len(trials)} trials"
@@ -213,7 +212,5 @@ def show(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> No
     ]
     if rows:
         print_table(console(), columns, rows)
-    if violating := sum(not trial.allowed for trial in trials):
-        print(f"{violating} finished trials violate a constraint")
     if shares := importances(space, objectives, trials):
         print("what mattered: " + ", ".join(f"{option} {share:.0%}" for option, share in shares.items()))

@@ -25,8 +25,7 @@ class History:
     """Reads the trials of a space.
 
     store: folder of runs; it need not exist. ids: the runs of a point, one a seed; ValueError if its configuration is
-        not valid. defaults: option -> its value in a run whose command does not name it. constraints: as
-        `objectives.limits`.
+        not valid. defaults: option -> its value in a run whose command does not name it.
     """
 
     def __init__(
@@ -36,10 +35,8 @@ class History:
         store: Path,
         ids: Callable[[Point], Sequence[str]],
         defaults: Mapping[str, str],
-        constraints: Sequence[str] = (),
     ) -> None:
         self.space, self.objectives, self.store, self.defaults = space, list(objectives), store, dict(defaults)
-        self.limits = goals.limits(constraints)
         self.rejected: dict[Point, str] = {}
         self._ids = ids
         self._known_ids: dict[Point, tuple[str, ...]] = {}
@@ -65,15 +62,7 @@ class History:
 
     def trials(self) -> list[Trial]:
         """Those with a run in the store, in the order of their first runs, then the rejected ones."""
-        columns = [
-            "run_id",
-            "state",
-            "error",
-            "stopped",
-            "created",
-            "path",
-            *goals.columns([*self.objectives, *(limit.key for limit in self.limits)]),
-        ]
+        columns = ["run_id", "state", "error", "stopped", "created", "path", *goals.columns(self.objectives)]
         rows: dict[str, Mapping[Any, Any]] = {}
         if self.store.is_dir() and len(frame := index.load(self.store, columns)):
             ordered = frame.sort_values(["created", "run_id"])
@@ -111,15 +100,12 @@ class History:
         if set(states) != {"finished"}:
             return Trial(point, "unfinished", runs=names, running="running" in states)
         values: list[float] = []
-        for name in [*self.objectives, *(limit.key for limit in self.limits)]:
+        for name in self.objectives:
             measured = [value for run in runs if (value := goals.value(run, name)) is not None and np.isfinite(value)]
             if len(measured) < len(runs):
                 return Trial(point, "failed", runs=names, error=NO_VALUE.format(name))
             values.append(float(np.mean(measured)))
-        count = len(self.objectives)
-        limited = zip(self.limits, values[count:], strict=True)
-        violations = {str(limit): goals.violation(limit, number) for limit, number in limited}
-        return Trial(point, "finished", tuple(values[:count]), names, violations=violations)
+        return Trial(point, "finished", tuple(values), names)
 
 
 def curve(run: Path, metric: str) -> dict[int, float]:

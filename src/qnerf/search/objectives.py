@@ -5,7 +5,6 @@ from typing import Any, Literal
 
 from qnerf.config.checks import is_number
 from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of
-from qnerf.records import filters
 
 Direction = Literal["maximize", "minimize"]
 KNOWN = tuple(key for key, item in METRICS.items() if item.kind != "loss" and (item.better or item.kind == "size"))
@@ -18,21 +17,6 @@ def check(objectives: Sequence[str]) -> None:
     for name in objectives:
         if name not in KNOWN:
             raise ValueError(f"unknown objective {name!r}; known: {', '.join(KNOWN)}")
-
-
-def limits(constraints: Sequence[str]) -> list[filters.Filter]:
-    """`params.heads<=500` and its like; ValueError for anything but a column, < or > or with =, and a number."""
-    found = filters.parse(constraints)
-    if wrong := [text for text, limit in zip(constraints, found, strict=False) if limit.operator[0] not in "<>"]:
-        raise ValueError(f"hydra.sweeper.constraints: expected such as params.heads<=500, got {wrong[0]!r}")
-    return found
-
-
-def violation(limit: filters.Filter, number: float) -> float:
-    """By how much the number violates the limit, as Optuna counts it: above 0 where it does."""
-    excess = number - float(limit.values[0])
-    excess = excess if limit.operator[0] == "<" else -excess
-    return excess if "=" in limit.operator or excess else 1e-12
 
 
 def direction(objective: str) -> Direction:

@@ -41,7 +41,6 @@ class Trial:
 
     values: of each objective, the mean over the runs; empty unless finished. curve: step -> the judged metric of a
         pruned trial. runs: ids, one a seed. running: whether a process trains one of them. error: why it failed.
-        violations: constraint -> by how much a finished trial violates it; 0 or less where it does not.
     """
 
     point: Point
@@ -51,12 +50,6 @@ class Trial:
     curve: Mapping[int, float] = field(default_factory=dict)
     running: bool = False
     error: str = ""
-    violations: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def allowed(self) -> bool:
-        """Whether it violates no constraint."""
-        return all(amount <= 0 for amount in self.violations.values())
 
 
 @dataclass(frozen=True)
@@ -108,9 +101,8 @@ def rebuilt(
 
 
 def best(space: Space, objectives: Sequence[str], trials: Sequence[Trial]) -> list[Trial]:
-    """The finished trials that meet all constraints and that no other such trial beats in every objective: of one
-    objective the best, of several the front."""
-    if not any(trial.state == "finished" and trial.allowed for trial in trials):
+    """The finished trials that no other beats in every objective: of one objective the best, of several the front."""
+    if not any(trial.state == "finished" for trial in trials):
         return []
     return [trials[frozen.number] for frozen in rebuilt(space, objectives, trials).best_trials]
 
@@ -133,7 +125,6 @@ def _frozen(space: Space, trial: Trial, one_objective: bool) -> FrozenTrial:
         distributions={option: values.distribution() for option, values in space.items()},
         values=list(trial.values) or None,
         intermediate_values=dict(trial.curve) if one_objective else {},
-        constraints=dict(trial.violations),
     )
 
 
