@@ -44,11 +44,12 @@ class Selection:
 
     @property
     def note(self) -> str:
-        """`left out: 2 interrupted, 1 NaN psnr; colourless: 1`; empty where every run is in and has learnt colours."""
+        """`left out: 2 interrupted, 1 NaN psnr; colourless: 1`; empty where all are in, learnt colours and saw tests."""
         left = "left out: " + ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
         gone = int(colorless(self.runs).sum())
         parts = [
             left * bool(self.left_out),
+            "all of a search: no test views" * bool(validating(self.runs).all()),
             f"colourless (explained variance below {COLORLESS:g}): {gone}" * bool(gone),
         ]
         return "; ".join(filter(None, parts))

@@ -62,10 +62,10 @@ def single(one: Draw, two: Draw, seeds: int) -> tuple[Verdict, int]:
     return verdict(one(seeds), two(seeds), WITHIN, metric="psnr"), seeds
 
 
-def several(one: Draw, two: Draw) -> tuple[Verdict, int]:
-    """What `qnerf decide` finds, and after how many seeds a side."""
-    values = one(MOST), two(MOST)
-    for count, alpha in shares().items():
+def several(one: Draw, two: Draw, most: int = MOST) -> tuple[Verdict, int]:
+    """What `qnerf decide` finds, whose budget pays for `most` seeds a side, and after how many."""
+    values = one(most), two(most)
+    for count, alpha in shares(most).items():
         found = verdict(values[0][:count], values[1][:count], WITHIN, alpha=alpha)
         if found.kind != "undecided":
             break
@@ -78,9 +78,12 @@ def rows(measured: list[tuple[np.ndarray, np.ndarray]], experiments: int) -> Ite
     random = np.random.default_rng(0)
     decide = "qnerf decide, up to 20 seeds"
     methods: dict[str, Callable[[Draw, Draw], tuple[Verdict, int]]] = {decide: several}
+    short = {n: f"qnerf decide, up to {n} seeds" for n in (6, 9)}
+    methods |= {name: lambda one, two, n=n: several(one, two, n) for n, name in short.items()}
     methods |= {f"one look, {n} seeds": (lambda one, two, n=n: single(one, two, n)) for n in (3, 5, 10, 20)}
     asked = [(name, "as measured", None, true) for name in methods for true in (0.0, 0.3, WITHIN, 1.0, 2.0)]
-    asked += [("one look, 10 seeds", runs, None, true) for runs in list(DROPS)[1:] for true in (0.0, WITHIN, -WITHIN)]
+    dropped = ("one look, 10 seeds", *short.values())
+    asked += [(name, runs, None, true) for name in dropped for runs in DROPS for true in (0.0, WITHIN, -WITHIN)]
     asked += [
         (decide, runs, luck, true)
         for runs in DROPS

@@ -5,8 +5,10 @@ into a folder of its own; `questions.yaml` beside these folders has the question
 """
 
 import argparse
+import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
@@ -92,29 +94,46 @@ def page(folder: Path, question: Question) -> tuple[str, str]:
     commands = (*question.commands, question.table_command(folder.name))
     parts = [f"# {question.title}", trained(frame)]
     parts += ["\n".join(f"    {line}" for line in commands), without_repetition(shown, frame).markdown()]
-    parts += [study] if (study := studied(folder)) else []
+    looks = pd.DataFrame([look for look in records(folder).to_dict("records") if look["seeds"]])
+    parts += [studied(looks)] if len(looks) else []
     if question.metric == "psnr" and not question.best_of and (failed := failures(stability(frame, question.rows))):
         parts.append(failed)
     parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
     parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
-    return "\n\n".join(parts) + "\n", verdicts(tables[0], question)
+    return "\n\n".join(parts) + "\n", decided(looks) if len(looks) else verdicts(tables[0], question)
 
 
-def studied(folder: Path) -> str:
-    """What `qnerf decide` has said of these runs, and what it searched; empty where nobody asked."""
-    looks = [look for look in records(folder).to_dict("records") if look["seeds"]]
-    parts = ["By `qnerf decide`, whose intervals hold over all its looks."] if looks else []
-    for scene, baseline in dict.fromkeys((look["scene"], look["baseline"]) for look in looks):
-        here = [look for look in looks if (look["scene"], look["baseline"]) == (scene, baseline)]
+def studied(looks: pd.DataFrame) -> str:
+    """What `qnerf decide` has said of these runs, and what it searched."""
+    parts = ["By `qnerf decide`, whose intervals hold over all its looks."]
+    for (scene, baseline), here in looks.groupby(["scene", "baseline"], sort=False):
         parts.append(f"{scene + ', ' if scene else ''}against {baseline}:")
-        parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here))
-        searches = dict.fromkeys(found for look in here for found in look["searched"].split("; ") if found)
+        parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here.to_dict("records")))
+        searches = dict.fromkeys(found for said in here["searched"] for found in said.split("; ") if found)
         parts += ["Chosen by the search:", "\n".join(f"- {found}" for found in searches)] if searches else []
-        parts += [f"Of this record: {told}." for told in dict.fromkeys(look["changes"] for look in here) if told]
+        parts += [f"Of this record: {told}." for told in dict.fromkeys(here["changes"]) if told]
     return "\n\n".join(parts)
 
 
-def _said(look: Mapping[Hashable, str]) -> str:
+def decided(looks: pd.DataFrame) -> str:
+    """What the index says of a question that studies have answered: their verdicts, of many candidates the counts."""
+    said = []
+    for (scene, baseline), here in looks.groupby(["scene", "baseline"], sort=False):
+        kinds = here["verdict"].str.extract(r"^(\w+)")[0]
+        if len(here) > MOST_NAMED:
+            told = ", ".join(f"{count} {kind}" for kind in KINDS if (count := (kinds == kind).sum()))
+        else:
+            told = ", ".join(f"{_short(name)} {kind}" for name, kind in zip(here["candidate"], kinds, strict=True))
+        said.append(f"{scene + ', ' if scene else ''}against {_short(baseline)}: {told}")
+    return "; ".join(said)
+
+
+def _short(candidate: Hashable) -> str:
+    """`color=mlp width=41` for `color=mlp color.mlp.width=41`."""
+    return re.sub(r"(?<= )[\w.]+\.(\w+=)", r"\1", str(candidate))
+
+
+def _said(look: Mapping[Hashable, Any]) -> str:
     return f"{look['shown']} {metric_of(look['metric']).unit}, {look['verdict']}, {look['seeds']} seeds"
 
 
