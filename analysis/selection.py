@@ -44,7 +44,7 @@ class Selection:
 
     @property
     def note(self) -> str:
-        """`left out: 2 interrupted, 1 NaN psnr; colourless: 1`; empty where all are in, learnt colours and saw tests."""
+        """`left out: 2 interrupted, 1 NaN psnr; colourless: 1`; empty where nothing has to be said."""
         left = "left out: " + ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
         gone = int(colorless(self.runs).sum())
         parts = [
