@@ -124,6 +124,28 @@ def test_a_search_that_is_killed_20_times_loses_and_repeats_nothing(tmp_path, at
     assert [trial for trial in again if trial.runs] == stored
 
 
+def test_two_processes_share_a_search(tmp_path, monkeypatch):
+    """While one trains its first trial, the other trains the rest, and then waits for that one."""
+    one, other = (Bench(tmp_path / "runs", invalid=False) for _ in range(2))
+
+    def wait(seconds: float) -> None:
+        raise Killed
+
+    def meanwhile() -> None:
+        one.moment = lambda: None  # type: ignore[method-assign]
+        with pytest.raises(Killed):
+            search(other.history(), Options(trials=5), other.launch)
+
+    monkeypatch.setattr("time.sleep", wait)
+    one.moment = lambda: meanwhile() if list(one.store.root.glob("*")) else None  # type: ignore[method-assign]
+    trials = search(one.history(), Options(trials=5), one.launch)
+    assert [trial.state == "unfinished" for trial in trials] == [False] * 5
+    assert (len(one.trained), len(one.trained + other.trained)) == (
+        1,
+        sum(trial.state == "finished" for trial in trials),
+    )
+
+
 def test_runs_of_a_sweep_count_and_a_finite_space_is_tried_once_and_to_its_end(tmp_path):
     bench = Bench(tmp_path / "runs")
     space: Space = {"layers": SPACE["layers"], "head": SPACE["head"]}

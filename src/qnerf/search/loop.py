@@ -24,8 +24,9 @@ def search(
     launch: trains the runs of some points and returns when they have ended, well or not; it also gets the trials so
         far.
 
-    Trials that were begun come first. One whose run is still unfinished when it has been launched ends the search,
-    unless another process trains it.
+    Trials that were begun and that nobody trains come first. One whose run is still unfinished when it has been
+    launched ends the search. Several processes share a search: each proposes what no other trains, and waits for the
+    last ones.
 
     Raises:
         ValueError: no such sampler.
@@ -38,11 +39,15 @@ def search(
         if len(history.rejected) >= options.trials:
             return trials
         require_values(history.objectives, trials)
-        begun = [trial.point for trial in trials if trial.state == "unfinished"][: options.at_once]
+        unfinished = [trial for trial in trials if trial.state == "unfinished"]
+        begun = [trial.point for trial in unfinished if not trial.running][: options.at_once]
         room = min(options.at_once - len(begun), options.trials - sum(bool(trial.runs) for trial in trials))
         fresh = propose(history.space, history.objectives, trials, max(room, 0), options, history.result)
         if not begun and not fresh:
-            return trials
+            if not unfinished:
+                return trials
+            time.sleep(POLL)
+            continue
         batch = [point for point in (*begun, *fresh) if history.ids(point)]
         if batch:
             launch(batch, trials)
