@@ -3,7 +3,7 @@
 project = "qnerf"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_external_toc"]
 include_patterns = ["*.md", "docs/**", "analysis/notebooks/*.ipynb"]
-exclude_patterns = [".venv", "site", "docs/results/hsv/hsv.md"]
+exclude_patterns = [".venv", "site"]
 external_toc_path = "docs/toc.yml"
 myst_heading_anchors = 3
 nb_execution_mode = "off"

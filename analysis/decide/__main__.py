@@ -74,8 +74,10 @@ def check(question: Question) -> None:
     if question.commands:
         if odd := [text for text in question.candidates if not is_command(text.split())]:
             raise ValueError(f"{odd[0]}: expected a command, as the others are; for all it is --all {odd[0]}")
-        if question.tune or question.equal == "time":
-            raise ValueError("--tune and --equal time: expected candidates of `qnerf run`, whose options are known")
+        if question.tune or question.space or question.equal == "time":
+            raise ValueError(
+                "--tune, --space and --equal time: expected candidates of `qnerf run`, whose options are known"
+            )
         lower = metric_of(question.metric).sign < 0
         print(f"{question.metric}: {'lower' if lower else 'higher'} is better")
         return
@@ -172,6 +174,7 @@ def study(record: Record, store: Path, budget: float) -> None:
         if not record.most:
             spent = sum(one["seconds"] for one in record.tuned.values())
             record.most = most(budget - spent, sum(cost.values()))
+            record.save(store)  # another process may have fixed it meanwhile
         alpha = shares(record.most)[count] / question.comparisons
         for scene in scenes:
             values = {name: runs[question.metric] for name, runs in frames[scene].items()}
@@ -207,14 +210,13 @@ def foreseer(record: Record, budget: float) -> Callable[[float], None]:
         if said or not seconds > 0:
             return
         said = True
-        cost = seconds * len(record.question.pairs)
-        seeds = most(budget, cost)
+        cost, trials = seconds * len(record.question.pairs), record.question.tune
+        search = cost * (trials + len(TUNING[1:]) * min(AGAIN, trials))
+        seeds = most(budget - search, cost)
         what = f"the whole study, up to {seeds} seeds of {len(record.question.pairs)} configurations"
-        if trials := record.question.tune:
-            what += f" after {trials} trials of each"
-            seeds += trials + len(TUNING[1:]) * min(AGAIN, trials)
+        what += f" after {trials} trials of each" * bool(trials)
         hours = max(budget / 3600, DAY)
-        if told := announced(what, seeds * cost, hours, "fewer candidates or steps take less", "--budget {}h"):
+        if told := announced(what, search + seeds * cost, hours, "fewer candidates or steps take less", "--budget {}h"):
             print(told, flush=True)
 
     return foresee
@@ -265,7 +267,8 @@ def judged(
     """
     race = len(question.candidates) > 2
     sign = metric_of(question.metric).sign
-    typical = {name: trimmed(np.sort((sign * own).fillna(-np.inf)), trim(own))[0] for name, own in values.items()}
+    with np.errstate(invalid="ignore"):  # of a candidate whose runs diverge
+        typical = {name: trimmed(np.sort((sign * own).fillna(-np.inf)), trim(own))[0] for name, own in values.items()}
     baseline = max(typical, key=typical.__getitem__) if race else question.candidates[0]
     found = {
         name: verdict(values[baseline], own, question.within, metric=question.metric, alpha=alpha)

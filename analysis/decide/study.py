@@ -95,6 +95,7 @@ class Record:
     def register(self, budget: float, store: Path) -> None:
         """Writes the record before anything is trained; a later command with another budget is a change."""
         now = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "budget": budget}
+        self.join(store)
         if not self.registered:
             self.registered = now
         elif budget != (self.changes or [self.registered])[-1]["budget"]:
@@ -106,14 +107,19 @@ class Record:
         ended = {look["candidate"] for look in self.looks if look["ended"] and look["scene"] == name_of(scene)}
         return [name for name in self.question.candidates if name not in ended]
 
-    def save(self, store: Path) -> None:
-        """Writes the record; what another process has registered or fixed since stays."""
+    def join(self, store: Path) -> None:
+        """Takes over what another process of the same study has registered, found or fixed since."""
         path = store / FOLDER / f"{self.name}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             known = read_json(path)
             self.registered, self.most = known["registered"], known["most"] or self.most
-            self.changes = max(known["changes"], self.changes, key=len)
+            self.changes, self.looks = (max(known[key], getattr(self, key), key=len) for key in ("changes", "looks"))
+            self.tuned = known["tuned"] | self.tuned
+
+    def save(self, store: Path) -> None:
+        self.join(store)
+        path = store / FOLDER / f"{self.name}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
         replace(path, json.dumps(asdict(self), indent=1).encode())
 
     @classmethod

@@ -22,6 +22,8 @@ from .records import title
 from .study import Question, Record, found, started, trained
 
 SHARE = 0.1  # of the training views, held out for validation
+SHARED = ("scene", "seed", "store", "train.steps", "run", "hydra")
+"""What all candidates of a study have alike, which no search may choose."""
 WIDTHS = (2, 4, 8)  # of heads that are built to count their parameters
 AGAIN = 3  # trials that are trained again with new seeds before one is chosen
 
@@ -38,6 +40,8 @@ def asked_spaces(question: Question) -> dict[str, str]:
     for text in question.space:
         if not compose.parse(text).is_sweep_override():
             raise ValueError(f"--space {text}: expected several values; one value stands in a candidate or in --all")
+        if text.startswith(tuple(f"{name}{end}" for name in SHARED for end in "=.")):
+            raise ValueError(f"--space {text}: is the same for all candidates; give it one value in --all")
     return asked
 
 
@@ -119,6 +123,8 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
             if count and len(tried) < question.tune:
                 others = searched(record, count, [*overrides, f"seed={TUNING[0]}"], space, store, foresee)
                 tried[1:] = [trial for trial in others if run not in trial["runs"]][: question.tune - 1]
+        if any(trial["state"] == "unfinished" for trial in tried):
+            raise ValueError(f"{title(scene, name)}: a trial of the search was stopped; the same command goes on")
         finished = [trial for trial in tried if trial["state"] == "finished"]
         if not finished:
             raise ValueError(f"{title(scene, name)}: no trial of the search finished")
@@ -128,13 +134,13 @@ def tune(record: Record, scene: str, store: Path, foresee: Callable[[float], obj
         for trial in finished[:AGAIN]:
             runs = trained([*overrides, *trial["overrides"]], TUNING[1:], store, foresee)
             again[tuple(trial["overrides"])] = float(runs[question.metric].mean(skipna=False))
-        seeds = [(trial["overrides"], TUNING[:1]) for trial in finished] + [(point, TUNING[1:]) for point in again]
+        seeds = [(trial["overrides"], TUNING[:1]) for trial in tried] + [(point, TUNING[1:]) for point in again]
         seconds = sum(found([*overrides, *point], own, store)["train_s"].sum() for point, own in seeds)
         chosen = list(max(again, key=lambda point: sign * again[point] if np.isfinite(again[point]) else -np.inf))
         record.tuned[title(scene, name)] = {
             "trials": len(tried),
-            "scores": [[trial["overrides"], *trial["values"], trial["state"]] for trial in tried],
-            "again": [[list(point), score] for point, score in again.items()],
+            "scores": [[trial["overrides"], number(*trial["values"]), trial["state"]] for trial in tried],
+            "again": [[list(point), number(score)] for point, score in again.items()],
             "chosen": chosen,
             "seconds": float(seconds),
             "validation": SHARE if unseen else "other seeds: nothing was held out",
@@ -170,6 +176,11 @@ def searched(
     )  # fmt: skip
     trials: list[dict[str, Any]] = json.loads((folder / TRIALS).read_text())
     return trials
+
+
+def number(value: float | None = None) -> float | None:
+    """None for no number, as JSON has it."""
+    return value if value is not None and np.isfinite(value) else None
 
 
 def expected(values: Sequence[float], sign: int) -> list[float]:

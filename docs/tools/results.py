@@ -106,7 +106,7 @@ def page(folder: Path, question: Question) -> tuple[str, str]:
 def studied(looks: pd.DataFrame) -> str:
     """What `qnerf decide` has said of these runs, and what it searched."""
     parts = ["By `qnerf decide`, whose intervals hold over all its looks."]
-    for (scene, baseline), here in looks.groupby(["scene", "baseline"], sort=False):
+    for (scene, baseline, _), here in looks.groupby(["scene", "baseline", "metric"], sort=False):
         parts.append(f"{scene + ', ' if scene else ''}against {baseline}:")
         parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here.to_dict("records")))
         searches = dict.fromkeys(found for said in here["searched"] for found in said.split("; ") if found)
@@ -118,7 +118,7 @@ def studied(looks: pd.DataFrame) -> str:
 def decided(looks: pd.DataFrame) -> str:
     """What the index says of a question that studies have answered: their verdicts, of many candidates the counts."""
     said = []
-    for (scene, baseline), here in looks.groupby(["scene", "baseline"], sort=False):
+    for (scene, baseline, _), here in looks.groupby(["scene", "baseline", "metric"], sort=False):
         kinds = here["verdict"].str.extract(r"^(\w+)")[0]
         if len(here) > MOST_NAMED:
             told = ", ".join(f"{count} {kind}" for kind in KINDS if (count := (kinds == kind).sum()))

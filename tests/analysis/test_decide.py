@@ -230,6 +230,7 @@ def test_several_all_are_one(trainings, tmp_path):
         (["field=qcolor", "field=classical", "--all", "run.force=true"], "run.force=true: finished runs count"),
         (["field=qcolor,qboth", "field=classical"], "field=qcolor,qboth: expected one value in a candidate"),
         (["head=mlp", "head=siren", "scene=photograph"], "scene=photograph: .* --scene or --all scene=photograph"),
+        (["head=mlp", "head=siren", "--tune", "2", "--space", "train.steps=5,9"], "is the same for all candidates"),
         (["head=mlp", "head=siren", "--tune", "-1"], "--tune -1: expected a number of trials, 1 or more"),
         (["head=mlp", "head=siren", "--space", "head.mlp.width=8,16"], "--space .*: is of a search; give --tune N"),
         (
@@ -372,10 +373,45 @@ def test_a_lucky_trial_is_not_chosen_and_a_search_is_done_once(trainings, tmp_pa
     one = record.tuned[f"poster: {SIRENS[0]}"]
     assert [trial[0] for trial in one["scores"]] == [[], *([key] for key in scores)]  # its own options once
     assert (one["trials"], one["seconds"], len(one["expected"])) == (5, 8 * 30.0, 5)
-    assert [count for count, _ in asked] == [4, 5] * 2
     assert all(f"seed={TUNING[0]}" in overrides for _, overrides in asked)
+    before = len(asked)
     tuning.tune(record, "scene=poster", tmp_path, [].append)
-    assert len(asked) == 4
+    assert len(asked) == before
+
+
+def test_a_search_is_registered_with_its_spaces_and_counts_in_the_budget(trainings, tmp_path, monkeypatch):
+    def tune(record, scene, store, foresee):
+        (path,) = tmp_path.glob(".decisions/*.json")
+        assert json.loads(path.read_text())["spaces"] == {"x=a": {"k": "1,2"}, "x=b": {"k": "3,4"}}
+        record.tuned = {
+            name: {"seconds": 200.0, "chosen": [], "trials": 2, "expected": [1.0]} for name in ("x=a", "x=b")
+        }
+
+    monkeypatch.setattr(decide, "spaces", lambda record, scene: {"x=a": {"k": "1,2"}, "x=b": {"k": "3,4"}})
+    monkeypatch.setattr(decide, "tune", tune)
+    decide.main(["x=a", "x=b", "--tune", "2", "--budget", "1000s", "--store", str(tmp_path)])
+    assert set(records(tmp_path)["most"]) == {10}  # (1000 - 400) / 60
+
+
+def test_two_processes_of_a_study_share_its_record(tmp_path):
+    one, other = (Record(Question(SIRENS, ("",), SMALL, 0.5), "x") for _ in range(2))
+    one.register(60.0, tmp_path)
+    other.register(90.0, tmp_path)
+    one.most, one.looks = 20, [{"seeds": 6}]
+    one.save(tmp_path)
+    other.tuned = {"x=a": {"trials": 2}}
+    other.save(tmp_path)
+    found = json.loads((tmp_path / ".decisions" / "x.json").read_text())
+    assert (found["most"], found["looks"], found["tuned"]) == (20, [{"seeds": 6}], {"x=a": {"trials": 2}})
+    assert (found["registered"]["budget"], found["changes"][0]["budget"]) == (60.0, 90.0)
+
+
+def test_a_candidate_of_which_runs_diverge_does_not_lead():
+    noise = np.array([0.1, -0.1, 0.2, -0.2, 0.0, 0.05])
+    values = {"a": np.r_[[np.nan] * 2, 30 + noise[2:]], "b": 20 + noise, "c": 19 + noise}
+    question = Question(("a", "b", "c"), ("",), "", 0.5)
+    found = decide.judged(question, {name: pd.Series(own) for name, own in values.items()}, 0.05, last=False)
+    assert {look["baseline"] for look in found} == {"b"}
 
 
 def test_scenes_are_named_by_their_folders(trainings, tmp_path):

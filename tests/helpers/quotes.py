@@ -36,8 +36,8 @@ MEASURED = r"|(?<![\w.])\d+(?= (?:ms|s|%)(?:[ ,.|]|$))|(?<=\| )\d+(?= *$)"
 PERCENT = r"|(?<![\w.])\d+(?= %)"
 MUST = re.compile(rf"{INTERVAL}|{MEAN}|\d\.\d+ dB\b")
 """What may not stand in a document without a source."""
-COMMENT = re.compile(r"<!-- (results|from|measured at|quoted from|checked by) (.*?) ?-->", re.DOTALL)
-EACH_ROW = re.compile(r"<!-- each row, (results|from|measured at|quoted from|checked by) (.*?) ?-->\n", re.DOTALL)
+COMMENT = re.compile(r"<!--\s+(results|from|measured at|quoted from|checked by) (.*?) ?-->", re.DOTALL)
+EACH_ROW = re.compile(r"<!--\s+each row, (results|from|measured at|quoted from|checked by) (.*?) ?-->\n", re.DOTALL)
 FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 

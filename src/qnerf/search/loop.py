@@ -34,6 +34,7 @@ def search(
     """
     if options.sampler not in SAMPLERS:
         raise ValueError(f"unknown sampler {options.sampler!r}; known: {', '.join(SAMPLERS)}")
+    told = ""
     while True:
         trials = history.trials()
         if len(history.rejected) >= options.trials:
@@ -46,6 +47,10 @@ def search(
         if not begun and not fresh:
             if not unfinished:
                 return trials
+            others = ", ".join(name for trial in unfinished for name in trial.runs)
+            if others != told:
+                print(f"note: waits for what other processes train: {others}", flush=True)
+            told = others
             time.sleep(POLL)
             continue
         batch = [point for point in (*begun, *fresh) if history.ids(point)]
