@@ -94,7 +94,7 @@ def test_a_study_of_commands_stops_and_goes_on_to_its_verdict(begun, tmp_path, c
         ("never-finishes", r"left its run interrupted; expected `run.finish\(...\)` with the metric"),
         ("no-seed", "^mine-[0-9a-f]*: stands for several runs; its config lacks the seed, or what tells"),
         ("--metric recall", "no recall; choose another --metric: train_s, steps, accuracy, loss"),
-        ("--tune 3", "--tune and --equal time: expected candidates of `qnerf run`"),
+        ("--tune 3", "--tune, --space and --equal time: expected candidates of `qnerf run`"),
     ],
 )
 def test_what_is_wrong_with_a_program_shows_in_its_first_runs(begun, words, message):
