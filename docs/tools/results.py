@@ -33,8 +33,8 @@ One line a question: what its runs say, and the page with the table and the comm
   seeds. Bold is the best of a column. [analysis.md](analysis.md#verdicts) explains the verdicts: one without a scene
   holds on each scene of the page. A row without its number of seeds has all that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
-- **The runs with `train=quick` of all but the first twelve questions were made with the learning rate that `train=quick`
-  had at first** ([recipe.md](recipe.md#how-the-learning-rate-falls)), and are not judged anew yet.
+- **The runs with `train=quick` of all but the first twelve questions had the learning rate that `train=quick` had at
+  first** ([recipe.md](recipe.md#how-the-learning-rate-falls)), and are not judged anew yet.
   `train.schedule=exponential train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them; from before
   `train=quick` gave MLPs He's initial weights, `density.mlp.init=torch`; from before it halved the proposal networks'
   samples, `proposal.samples=[128,64]`.
