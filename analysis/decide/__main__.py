@@ -263,24 +263,28 @@ def judged(
 ) -> Iterator[dict[str, Any]]:
     """What a look at the values of each candidate's runs finds; of several candidates the leader is the baseline.
 
-    A race ends where no candidate is better than the leader by `within`.
+    A race ends where no candidate is better than the leader by `within`. The first candidate, which the question is
+    about, is compared with each of the others, too; the error rate is that of all pairs.
     """
     race = len(question.candidates) > 2
     sign = metric_of(question.metric).sign
     with np.errstate(invalid="ignore"):  # of a candidate whose runs diverge
         typical = {name: trimmed(np.sort((sign * own).fillna(-np.inf)), trim(own))[0] for name, own in values.items()}
     baseline = max(typical, key=typical.__getitem__) if race else question.candidates[0]
+    first = question.candidates[0]
+    pairs = [(baseline, name) for name in values if name != baseline]
+    pairs += [(name, first) for name in values if first in values and baseline != first != name != baseline]
     found = {
-        name: verdict(values[baseline], own, question.within, metric=question.metric, alpha=alpha)
-        for name, own in values.items()
-        if name != baseline
+        (one, two): verdict(values[one], values[two], question.within, metric=question.metric, alpha=alpha)
+        for one, two in pairs
     }
-    decided = {name: one.kind != "undecided" for name, one in found.items()}
-    over = last or (race and all(decided[name] or one.excluded == "a gain" for name, one in found.items()))
-    for name, one in found.items():
+    decided = {name: one.kind != "undecided" for (against, name), one in found.items() if against == baseline}
+    with_leader = [found[baseline, name] for name in decided]
+    over = last or (race and all(one.kind != "undecided" or one.excluded == "a gain" for one in with_leader))
+    for (against, name), one in found.items():
         numbers = {"difference": one.difference, "reach": one.reach, "shown": interval(one, question.metric)}
         said = {"verdict": one.text(question.metric), "ended": over or decided[name]}
-        yield {"baseline": baseline, "candidate": name, **numbers, **said}
+        yield {"baseline": against, "candidate": name, **numbers, **said}
 
 
 def line(look: Mapping[str, Any], names: Mapping[str, str]) -> str:

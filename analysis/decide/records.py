@@ -16,8 +16,14 @@ FOLDER = ".decisions"
 
 def records(store: str | Path) -> pd.DataFrame:
     """The records of a store: what ended or was compared last in each scene, and the question that it belongs to."""
-    tables = []
-    for path in sorted(Path(store).glob(f"{FOLDER}/*.json")):
+    tables, times = [], dict[str, list[str]]()  # run -> when a record that has it was registered
+    paths = sorted(Path(store).glob(f"{FOLDER}/*.json"))
+    for path in paths:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            found = read_json(path)
+            for run in itertools.chain(*found["runs"].values()):
+                times.setdefault(run, []).append(found["registered"]["time"])
+    for path in paths:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a damaged record is left out
             found = read_json(path)
             looks = pd.DataFrame([*found["looks"], *unseen(found)])
@@ -28,7 +34,11 @@ def records(store: str | Path) -> pd.DataFrame:
             if earlier := sum(found["earlier"].values()):
                 count = sum(map(len, found["runs"].values()))
                 changes.append(f"{earlier} of {count} judged runs are older than the record")
-            study = {"registered": found["registered"]["time"], "changes": "; ".join(changes)}
+            time, budget = found["registered"]["time"], found["registered"]["budget"]
+            ids = itertools.chain(*found["runs"].values())
+            if shared := sum(any(other < time for other in times[run]) for run in ids):
+                changes.append(f"{shared} of them were judged in an earlier record, too")
+            study = {"registered": f"{time}, budget {budget:g} s", "changes": "; ".join(changes)}
             how = [searched(found["tuned"], look) for look in last.to_dict("records")]
             for_all = [word for word in asked["common"].split() if word.startswith(("scene=", "scene."))]
             last = last.replace({"scene": {"": name_of(" ".join(for_all))}})
@@ -97,5 +107,6 @@ def searched(tuned: Mapping[str, Mapping[str, Any]], look: Mapping[Any, Any]) ->
             chosen, best = ", ".join(one["chosen"]) or "its own options", one["expected"]
             cost = f"{one['trials']} trials, {one['seconds'] / 60:.1f} minutes"
             gain = f"expected best {best[0]:.4g} of 1, {best[-1]:.4g} of {len(best)}"
-            texts.append(f"{candidate}: {chosen} ({cost}, {gain})")
+            unseen = f", {one['validation']}" if isinstance(one["validation"], str) else ""
+            texts.append(f"{candidate}: {chosen} ({cost}, {gain}{unseen})")
     return "; ".join(texts)

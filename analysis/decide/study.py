@@ -18,7 +18,9 @@ from qnerf.cli.identify import run_ids
 from qnerf.records.files import read_json, replace
 
 from ..load import runs
+from ..selection import TUNING
 from .commands import child, ended, run_of, seconds, train
+from .looks import looks
 from .records import FOLDER, is_command, name_of, title
 
 notes: set[str] = set()
@@ -66,9 +68,9 @@ class Record:
     of its runs. most: seeds a side at the last look, fixed after the first. steps: "scene: candidate" -> training steps
     where CPU time is to be equal. looks: what each look at each comparison found, in order; `ended`: that was its last.
     spaces: "scene: candidate" -> option -> the values that its search may choose. tuned: "scene: candidate" -> what was
-    tried, what was chosen and what it cost. registered: when the record was written, before the first run, and the
-    budget in seconds; changes: the same of later commands with another budget. earlier: "scene: candidate" -> how many
-    of its runs were begun before, by another study or a sweep.
+    tried, what was chosen and what it cost. registered: when the record was written, before the first run, the budget
+    in seconds, the numbers of seeds at which it may look, and the seeds of the search; changes: later budgets.
+    earlier: "scene: candidate" -> how many of its runs were begun before, by another study or a sweep.
     """
 
     question: Question
@@ -97,7 +99,7 @@ class Record:
         now = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "budget": budget}
         self.join(store)
         if not self.registered:
-            self.registered = now
+            self.registered = now | {"looks": looks(), "tuning_seeds": TUNING if self.question.tune else []}
         elif budget != (self.changes or [self.registered])[-1]["budget"]:
             self.changes.append(now)
         self.save(store)

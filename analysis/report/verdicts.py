@@ -38,7 +38,7 @@ def verdicts(
     for look in records(Path(str(frame["path"].iloc[0])).parent).to_dict("records"):
         if look["seeds"]:
             name, unit = f"{look['candidate']} - {look['baseline']}", metric_of(look["metric"]).unit
-            seeds, difference = f"{look['seeds']} / {look['seeds']} seeds", f"{look['shown']} {unit}".rstrip()
+            seeds, difference = f"{look['seeds']} seeds, registered study", f"{look['shown']} {unit}".rstrip()
             decided[look["scene"] or unnamed].append((name, look["verdict"], difference, seeds, look["searched"]))
     errors: dict[str, str] = {}
     with collecting(errors, "verdicts"):

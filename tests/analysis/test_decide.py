@@ -68,21 +68,31 @@ def test_slips_are_compared_by_fishers_test(slipped):
 def judged(values, within, metric="psnr", last=False):
     question = Question(tuple(values), ("",), "", within, metric)
     found = decide.judged(question, {name: pd.Series(own) for name, own in values.items()}, 0.01, last=last)
-    return {look["candidate"]: (look["baseline"], look["verdict"].split()[0], look["ended"]) for look in found}
+    return {look["candidate"] + look["baseline"]: (look["verdict"].split()[0], look["ended"]) for look in found}
 
 
 def test_a_race_drops_what_is_worse_and_ends_when_the_rest_is_close():
     noise = 0.1 * np.sin(np.arange(9))
     values = {"a": 20 + noise, "b": 21 + noise, "c": 21.15 - noise}
-    assert judged(values, 0.5) == {"a": ("c", "worse", True), "b": ("c", "equivalent", True)}
-    assert judged(values, 0.05)["b"] == ("c", "undecided:", True)  # no gain over the leader is left to find
+    assert judged(values, 0.5) == {"ac": ("worse", True), "bc": ("equivalent", True), "ab": ("worse", True)}
+    assert judged(values, 0.05)["bc"] == ("undecided:", True)  # no gain over the leader is left to find
     wide = values | {"b": 21 + 5 * noise}
-    assert judged(wide, 0.05) == {"a": ("c", "worse", True), "b": ("c", "undecided", False)}
-    assert judged(wide, 0.05, last=True)["b"] == ("c", "undecided", True)
-    assert judged({name: own / 30 for name, own in values.items()}, 0.01, "lpips")["c"][0] == "a"
+    assert judged(wide, 0.05) == {"ac": ("worse", True), "bc": ("undecided", False), "ab": ("worse", True)}
+    assert judged(wide, 0.05, last=True)["bc"] == ("undecided", True)
+    lower_is_better = judged({name: own / 30 for name, own in values.items()}, 0.01, "lpips")
+    assert set(lower_is_better) == {"ba", "ca"}  # the first one leads
 
 
-VALUES = {"x=a": 20.0, "x=b": 20.9, "x=c": 18.0, "y=1": 20.0}
+def test_the_first_candidate_is_compared_with_each_other_one_until_it_drops_out(trainings, tmp_path):
+    decide.main(["x=d", "x=a", "x=b", "--within", "2", "--store", str(tmp_path)])
+    found = records(tmp_path)
+    pairs = dict(
+        zip(found["candidate"] + " - " + found["baseline"], found["verdict"].str.split(":").str[0], strict=True)
+    )
+    assert pairs == {"x=d - x=b": "worse", "x=d - x=a": "worse", "x=a - x=b": "undecided"}
+
+
+VALUES = {"x=a": 20.0, "x=b": 20.9, "x=c": 18.0, "x=d": 10.0, "y=1": 20.0}
 
 
 class Trainings:
@@ -261,9 +271,9 @@ def test_a_metric_that_the_runs_lack_is_named(trainings, tmp_path):
 
 def test_several_candidates_race(trainings, tmp_path):
     decide.main(["x=a", "x=b", "x=c", "--within", "2", "--store", str(tmp_path)])
-    found = records(tmp_path).set_index("candidate")
-    assert found.loc["x=c", ["baseline", "verdict"]].tolist() == ["x=b", "worse"]
-    assert found.loc["x=a", "verdict"] == "undecided: a gain of 2 dB is ruled out"
+    found = records(tmp_path).set_index(["candidate", "baseline"])["verdict"]
+    assert found["x=c", "x=b"] == "worse"
+    assert found["x=a", "x=b"] == "undecided: a gain of 2 dB is ruled out"
     assert max(len(seeds) for overrides, seeds in trainings.asked if "x=c" in overrides) < 20
 
 
@@ -293,7 +303,10 @@ def test_the_record_is_written_before_the_first_run_and_keeps_later_budgets(trai
     assert "budget 7200 s at" in records(tmp_path)["changes"].iloc[0]
     trainings.created = 0.0
     decide.main(["x=a", "x=c", "--store", str(tmp_path)])
-    assert "12 of 12 judged runs are older than the record" in set(records(tmp_path)["changes"])
+    told = "12 of 12 judged runs are older than the record; 6 of them were judged in an earlier record, too"
+    path.write_text(path.read_text().replace(first["time"], "2000-01-01T00:00:00+00:00"))
+    assert told in set(records(tmp_path)["changes"])
+    assert (first["looks"], first["tuning_seeds"]) == ([6, 9, 14, 20], [])
 
 
 SIRENS = ("color=mlp color.mlp.layers=3", "color=siren")
@@ -384,7 +397,8 @@ def test_a_search_is_registered_with_its_spaces_and_counts_in_the_budget(trainin
         (path,) = tmp_path.glob(".decisions/*.json")
         assert json.loads(path.read_text())["spaces"] == {"x=a": {"k": "1,2"}, "x=b": {"k": "3,4"}}
         record.tuned = {
-            name: {"seconds": 200.0, "chosen": [], "trials": 2, "expected": [1.0]} for name in ("x=a", "x=b")
+            name: {"seconds": 200.0, "chosen": [], "trials": 2, "expected": [1.0], "validation": 0.1}
+            for name in ("x=a", "x=b")
         }
 
     monkeypatch.setattr(decide, "spaces", lambda record, scene: {"x=a": {"k": "1,2"}, "x=b": {"k": "3,4"}})
@@ -411,7 +425,7 @@ def test_a_candidate_of_which_runs_diverge_does_not_lead():
     values = {"a": np.r_[[np.nan] * 2, 30 + noise[2:]], "b": 20 + noise, "c": 19 + noise}
     question = Question(("a", "b", "c"), ("",), "", 0.5)
     found = decide.judged(question, {name: pd.Series(own) for name, own in values.items()}, 0.05, last=False)
-    assert {look["baseline"] for look in found} == {"b"}
+    assert [(look["candidate"], look["baseline"]) for look in found] == [("a", "b"), ("c", "b"), ("a", "c")]
 
 
 def test_scenes_are_named_by_their_folders(trainings, tmp_path):

@@ -22,12 +22,13 @@ def test_a_card_has_the_verdict_of_the_table_on_each_configuration():
 
 def test_a_card_opens_with_what_a_study_decided_and_how_it_was_searched(monkeypatch):
     tuned = {"poster: b": {"chosen": ["omega=2"], "trials": 4, "seconds": 90.0, "expected": [20.0, 21.5]}}
+    tuned["poster: b"]["validation"] = "other seeds"
     look = {"scene": "poster", "baseline": "a", "candidate": "b", "seeds": 6, "shown": "+0.61 ± 0.20", "metric": "psnr"}
     how = searched(tuned, look)
-    assert how == "b: omega=2 (4 trials, 1.5 minutes, expected best 20 of 1, 21.5 of 2)"
+    assert how == "b: omega=2 (4 trials, 1.5 minutes, expected best 20 of 1, 21.5 of 2, other seeds)"
     rows = pd.DataFrame([look | {"verdict": "better, after 4 trials each", "searched": how}])
     monkeypatch.setattr("qnerf.analysis.report.verdicts.records", lambda store: rows)
-    line = ("b - a", "better, after 4 trials each", "+0.61 ± 0.20 dB", "6 / 6 seeds", how)
+    line = ("b - a", "better, after 4 trials each", "+0.61 ± 0.20 dB", "6 seeds, registered study", how)
     found = verdicts(load.runs(SEEDS, "color.directions=raw density.mlp.init=he,none"))
     assert (found.cards["poster"][0], len(found.cards["poster"]) > 1) == (line, True)
     alone = verdicts(load.runs(SEEDS, "field=qcolor,qboth"))
