@@ -8,7 +8,7 @@ import argparse
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
@@ -33,17 +33,20 @@ One line a question: what its runs say, and the page with the table and the comm
   seeds. Bold is the best of a column. [analysis.md](analysis.md#verdicts) explains the verdicts: one without a scene
   holds on each scene of the page. A row without its number of seeds has all that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
-- **The runs with `train=quick` of all but the first twelve questions had the learning rate that `train=quick` had at
-  first** ([recipe.md](recipe.md#how-the-learning-rate-falls)), and are not judged anew yet.
+- Judged by: `study`, a study of `qnerf decide` that was registered before its first run, with `--tune` after a search of
+  each head's options. `table`: runs of a sweep, without a registered study or a search.
+- *Earlier rate*: these runs with `train=quick` had the learning rate that it had at first
+  ([recipe.md](recipe.md#how-the-learning-rate-falls)). They are not judged anew yet: {earlier}.
   `train.schedule=exponential train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them; from before
   `train=quick` gave MLPs He's initial weights, `density.mlp.init=torch`; from before it halved the proposal networks'
   samples, `proposal.samples=[128,64]`.
 - Compare times of a step by `python -m benchmarks.training`: runs of a table were not all trained at the same time.
   {hardware}
 
-| question | what the runs say |
-|---|---|
+| question | judged by | what the runs say |
+|---|---|---|
 """
+NO_STUDY = "The verdicts are of this table, without a registered study."
 MOST_NAMED = 3
 """Rows beside the baseline that the index names one by one; of more it counts the verdicts."""
 
@@ -61,14 +64,18 @@ def pages(folder: Path) -> dict[Path, str]:
         raise ValueError(
             f"{folder}: expected folders of packed runs, among {', '.join(asked)}; got {', '.join(unknown) or 'none'}"
         )
-    made, lines = {}, []
+    made, lines, earlier = {}, [], pd.Series(dtype=float)  # seconds of training
     for name, question in asked.items():
         if name in present:
             made[folder / name / "README.md"], said = page(folder / name, question)
-            lines.append(f"| [{question.title}]({folder.name}/{name}/README.md) | {said} |")
+            judged = "study" if said.study else "table"
+            if len(said.earlier):
+                earlier, judged = pd.concat([earlier, said.earlier]), f"{judged}, earlier rate"
+            lines.append(f"| [{question.title}]({folder.name}/{name}/README.md) | {judged} | {said.text} |")
+    left = f"{len(earlier):,} runs, {earlier.sum() / 3600:.0f} hours of training"
     file = folder / "hardware.txt"
     hardware = " ".join(printable(file.read_text(), lines=True).split()) if file.is_file() else ""
-    return {folder.with_suffix(".md"): INDEX.format(hardware=hardware) + "\n".join(lines) + "\n"} | made
+    return {folder.with_suffix(".md"): INDEX.format(hardware=hardware, earlier=left) + "\n".join(lines) + "\n"} | made
 
 
 def questions(folder: Path) -> dict[str, Question]:
@@ -86,7 +93,16 @@ def questions(folder: Path) -> dict[str, Question]:
         raise ValueError(f"{file}: {one_line(error)}") from error
 
 
-def page(folder: Path, question: Question) -> tuple[str, str]:
+class Said(NamedTuple):
+    """What the index says of a question: its verdicts, whether studies gave them, the training seconds of its runs with
+    the learning rate that `train=quick` had at first."""
+
+    text: str
+    study: bool
+    earlier: pd.Series
+
+
+def page(folder: Path, question: Question) -> tuple[str, Said]:
     """The page of a question's packed runs, and its line in the index."""
     frame = load.runs(folder)
     tables = question.tables(frame)
@@ -95,17 +111,19 @@ def page(folder: Path, question: Question) -> tuple[str, str]:
     parts = [f"# {question.title}", trained(frame)]
     parts += ["\n".join(f"    {line}" for line in commands), without_repetition(shown, frame).markdown()]
     looks = pd.DataFrame([look for look in records(folder).to_dict("records") if look["seeds"]])
-    parts += [studied(looks)] if len(looks) else []
+    parts += [studied(looks)] if len(looks) else [NO_STUDY] if question.baseline else []
     if question.metric == "psnr" and not question.best_of and (failed := failures(stability(frame, question.rows))):
         parts.append(failed)
     parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
     parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
-    return "\n\n".join(parts) + "\n", decided(looks) if len(looks) else verdicts(tables[0], question)
+    text = decided(looks) if len(looks) else verdicts(tables[0], question)
+    earlier = frame.loc[frame["train"].eq("quick") & ("train.schedule" not in frame), "train_s"]
+    return "\n\n".join(parts) + "\n", Said(text, len(looks) > 0, earlier)
 
 
 def studied(looks: pd.DataFrame) -> str:
     """What `qnerf decide` has said of these runs, and what it searched."""
-    parts = ["By `qnerf decide`, whose intervals hold over all its looks."]
+    parts = ["The table's verdicts are of one look. By `qnerf decide`, whose intervals hold over all looks and pairs:"]
     for (scene, baseline, _), here in looks.groupby(["scene", "baseline", "metric"], sort=False):
         parts.append(f"{scene + ', ' if scene else ''}against {baseline}:")
         parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here.to_dict("records")))

@@ -40,7 +40,8 @@ def test_pages_say_what_was_trained_and_the_verdict(folder):
     assert "| +1.00 ± 0.11 better * |" in row
     assert "On a \\x1b[31mmachine." in index
     (line,) = (line for line in index.splitlines() if "scenes/README.md" in line)
-    assert line.endswith("| against classical: qcolor: better |")
+    assert line.endswith("| table, earlier rate | against classical: qcolor: better |")
+    assert "without a registered study" in page
 
 
 def test_a_folder_without_a_question_is_named(folder):
