@@ -81,7 +81,8 @@ def octave_errors(frame: pd.DataFrame, most: int = MOST) -> Figure:
                 look = looks[names.index(name) % len(looks)]
                 ax.plot(part[x], part["error"], label=name, **look)
                 ax.fill_between(part[x], part["error_low"], part["error_high"], color=look["color"], alpha=0.18, lw=0)
-            ax.set(title=f"{2 ** (octave - 1)} to {2**octave} cycles", xlabel=heading, xscale="log", yscale="log")
+            low = f"{2 ** (octave - 1)}" if octave > 1 else "0"  # the lowest octave has all slow waves
+            ax.set(title=f"{low} to {2**octave} cycles", xlabel=heading, xscale="log", yscale="log")
             ax.xaxis.set_major_formatter(style.PLAIN)
             ax.xaxis.set_minor_formatter(NullFormatter())
             ax.yaxis.set_major_locator(LogLocator(100))

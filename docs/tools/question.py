@@ -17,6 +17,7 @@ class Question:
     rows: the keys that distinguish the rows of each table.
     baseline: the row that the others are compared with; other_baselines: more of them, for a table each.
     metric: what the tables compare and rank; within: its smallest difference that matters, where not the usual one.
+    other_metrics: more that are compared with the baseline.
     values: columns beside the metric; those that no run has are left out.
     best_of: the row key of which a page shows the best value alone, where rows are otherwise alike.
     units, hardware, paper: whether its page shows another table in place of the comparison: of dead units, of shots and
@@ -35,21 +36,27 @@ class Question:
     hardware: bool = False
     paper: str = ""
     other_baselines: Sequence[Mapping[str, object]] = ()
+    other_metrics: Sequence[str] = ()
+
+    @property
+    def comparisons(self) -> list[tuple[str, Mapping[str, object] | None]]:
+        """The metric and the baseline of each of `tables`."""
+        own = [(self.metric, baseline) for baseline in (self.baseline, *self.other_baselines)]
+        return own + [(metric, self.baseline) for metric in self.other_metrics]
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """The comparisons with each baseline, of the question's runs as `load.runs` gives them."""
+        """A table for each of `comparisons`, of the question's runs as `load.runs` gives them; the first has `values`."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
-        given = [(self.baseline, values), *((other, []) for other in self.other_baselines)]
         return [
             ablation(
                 frame,
                 self.rows,
-                metric=self.metric,
-                values=[self.metric, *names],
+                metric=metric,
+                values=[metric, *values * (number == 0)],
                 baseline=baseline,
                 within=self.within,
             )
-            for baseline, names in given
+            for number, (metric, baseline) in enumerate(self.comparisons)
         ]
 
     def instead(self, frame: pd.DataFrame) -> Table | None:

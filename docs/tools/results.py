@@ -198,10 +198,11 @@ def beside(tables: Sequence[Table], question: Question) -> Table:
     first = tables[0].text
     own = metric_of(question.metric).heading
     shown, bold = first[[*question.rows, own]].copy(), tables[0].bold[[*question.rows, own]].copy()
-    for table, baseline in zip(tables, (question.baseline, *question.other_baselines), strict=True):
+    for table, (metric, baseline) in zip(tables, question.comparisons, strict=True):
         if baseline is not None:
-            heading = f"against {label(tuple(baseline.values()))}"
-            shown[heading], bold[heading] = against(table.text, own), False
+            measured = metric_of(metric).heading
+            heading = f"{measured}, " * (metric != question.metric) + f"against {label(tuple(baseline.values()))}"
+            shown[heading], bold[heading] = against(table.text, measured), False
             if table is not tables[0]:
                 shown.loc[first["verdict"] == "", heading] = ""
     for name in first.columns.difference(shown.columns, sort=False):

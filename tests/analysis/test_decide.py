@@ -118,7 +118,7 @@ class Trainings:
             "psnr": psnr,
             "state": "finished",
             "train_s": self.seconds,
-            "step_cpu_ms": {"x=a": 10.0}.get(name, 20.0),
+            "step_cpu_ms": 40.0 if "k=2" in overrides else {"x=a": 10.0}.get(name, 20.0),
             "train.steps": 100,
             "created": self.created,
         }
@@ -405,6 +405,21 @@ def test_a_search_is_registered_with_its_spaces_and_counts_in_the_budget(trainin
     monkeypatch.setattr(decide, "tune", tune)
     decide.main(["x=a", "x=b", "--tune", "2", "--budget", "1000s", "--store", str(tmp_path)])
     assert set(records(tmp_path)["most"]) == {10}  # (1000 - 400) / 60
+
+
+def test_a_search_at_equal_time_has_it_too_and_what_it_chose_is_measured_again(trainings, tmp_path, monkeypatch):
+    searched = []
+
+    def tune(record, scene, store, foresee):
+        searched.append(dict(record.steps))
+        found = {"seconds": 20.0, "trials": 2, "expected": [1.0], "validation": 0.1}
+        record.tuned = {"x=a": found | {"chosen": ["k=2"]}, "x=b": found | {"chosen": []}}
+
+    monkeypatch.setattr(decide, "spaces", lambda record, scene: {"x=a": {"k": "1,2"}, "x=b": {"k": "1,2"}})
+    monkeypatch.setattr(decide, "tune", tune)
+    decide.main(["x=a", "x=b", "--tune", "2", "--equal", "time", "--store", str(tmp_path)])
+    assert searched == [{"x=a": 200, "x=b": 100}]
+    assert set(records(tmp_path)["steps"]) == {"x=a 100, x=b 200"}  # k=2 costs twice as much as x=b
 
 
 def test_two_processes_of_a_study_share_its_record(tmp_path):
