@@ -49,24 +49,39 @@ FIELD = ("field=classical", *TINY, *MOMENT, "scene.views=20", "stop.every=1", "s
 SIGNAL = ("head=mlp", "train.steps=3", "device=cpu")
 
 
+PHOTOGRAPH = ("scene=photograph", "scene.held_out=0.3", "scene.size=12", *SIGNAL)
+
+
+def clean_and_poisoned(overrides, path):
+    """Of a training on either: what `auto` decided, what was logged, the evaluation."""
+    found = []
+    for name in ("clean", "poisoned"):
+        config = Configuration.of(composed(*overrides, "train.eval_every=1", f"store={path / name}"))
+        plain = [text for text in overrides if not text.startswith("scene.validation")]
+        source = prepare(Configuration.of(composed(*plain))).source
+        prepared = prepare(config, poisoned(source) if name == "poisoned" else source)
+        outcome = run(prepared)
+        logged = read_metrics(outcome.path).query("not key.str.startswith('time/')")
+        found.append((str(prepared.decisions), logged.drop(columns="time_s"), read_evaluation(outcome.path)))
+    return found
+
+
 @pytest.mark.parametrize(
     "overrides",
-    [FIELD, ("scene=photograph", "scene.held_out=0.3", "scene.size=12", *SIGNAL), ("scene=distance", *SIGNAL)],
+    [FIELD, PHOTOGRAPH, ("scene=distance", *SIGNAL)],
     ids=["field", "photograph", "distance"],
 )
 def test_no_test_pixel_reaches_a_run_that_holds_out_validation_views(overrides, tmp_path):
     """Training, `stop`, `auto` and every number of the evaluations, on the way and at the end."""
-    found = []
-    for name in ("clean", "poisoned"):
-        more = ("scene.validation=0.2", "train.eval_every=1", f"store={tmp_path / name}")
-        config = Configuration.of(composed(*overrides, *more))
-        clean = prepare(Configuration.of(composed(*overrides))).source
-        prepared = prepare(config, poisoned(clean) if name == "poisoned" else clean)
-        outcome = run(prepared)
-        logged = read_metrics(outcome.path).query("not key.str.startswith('time/')")
-        found.append((prepared.decisions, logged.drop(columns="time_s"), read_evaluation(outcome.path)))
-    (decided, metrics, held_out), (same, again, once_more) = found
-    assert str(decided) == str(same)
+    clean, other = clean_and_poisoned((*overrides, "scene.validation=0.2"), tmp_path)
+    (decided, metrics, held_out), (same, again, once_more) = clean, other
+    assert decided == same
     assert metrics[metrics["key"].str.startswith("eval/")]["value"].notna().all()
     assert metrics.equals(again)
     assert held_out.equals(once_more)
+
+
+@pytest.mark.parametrize("overrides", [FIELD, PHOTOGRAPH], ids=["field", "photograph"])
+def test_a_run_without_validation_views_sees_the_poison(overrides, tmp_path):
+    (_, _, held_out), (_, _, other) = clean_and_poisoned(overrides, tmp_path)
+    assert not held_out.equals(other)
