@@ -10,6 +10,7 @@ import pandas as pd
 from qnerf.metrics import COLORLESS, metric_of, quality_metrics
 from qnerf.records.filters import check_column
 from qnerf.records.schemas import LABELS, RECORDED, is_option, is_own
+from qnerf.search.objectives import TUNING
 
 SCENES = ("scene_name", "scene.path", "scene", "scene.name")
 """Row keys that tell scenes apart."""
@@ -29,10 +30,6 @@ CIRCUITS = frozenset(itertools.chain(*QUANTUM.values()))
 _SCALARS = ("field", "experiment", "geo_features", "appearance")
 _OF_TRACKED = ("field", *RECORDED)
 """Settings of tracked runs alone: in others the heads decide the field, and the options are only recorded."""
-
-
-TUNING = (271_828_180, 271_828_181, 271_828_182)
-"""Seeds of `qnerf decide --tune`, which judge nothing: of the search, and of its best trials. Nobody types them."""
 
 
 @dataclass(frozen=True)

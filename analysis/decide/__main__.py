@@ -15,10 +15,11 @@ import pandas as pd
 from qnerf.cli import compose
 from qnerf.metrics import metric_of, quality_metrics
 from qnerf.records.location import DEFAULT
+from qnerf.search.objectives import TUNING
 from qnerf.training.forecast import announced
 
 from .. import command
-from ..selection import TUNING, colorless, measured
+from ..selection import colorless, measured
 from ..tables.differences import interval
 from ..verdict import trim, trimmed, verdict, within_of
 from .looks import FIRST, MOST, looks, shares

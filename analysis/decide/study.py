@@ -16,9 +16,9 @@ import pandas as pd
 
 from qnerf.cli.identify import run_ids
 from qnerf.records.files import read_json, replace
+from qnerf.search.objectives import TUNING
 
 from ..load import runs
-from ..selection import TUNING
 from .commands import child, ended, run_of, seconds, train
 from .looks import looks
 from .records import FOLDER, is_command, name_of, title

@@ -16,8 +16,8 @@ from qnerf.cli import compose
 from qnerf.cli.compose import configuration
 from qnerf.config.settings import HEAD_GROUPS
 from qnerf.metrics import metric_of
+from qnerf.search.objectives import TUNING
 
-from ..selection import TUNING
 from .records import title
 from .study import Question, Record, found, started, trained
 

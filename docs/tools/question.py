@@ -45,7 +45,7 @@ class Question:
         return own + [(metric, self.baseline) for metric in self.other_metrics]
 
     def tables(self, frame: pd.DataFrame) -> list[Table]:
-        """A table for each of `comparisons`, of the question's runs as `load.runs` gives them; the first has `values`."""
+        """A table for each of `comparisons`, of runs as `load.runs` gives them; the first has `values`."""
         values = [name for name in self.values if name in frame and frame[name].notna().any()]
         return [
             ablation(

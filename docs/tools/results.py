@@ -33,8 +33,8 @@ One line a question: what its runs say, and the page with the table and the comm
   seeds. Bold is the best of a column. [analysis.md](analysis.md#verdicts) explains the verdicts: one without a scene
   holds on each scene of the page. A row without its number of seeds has all that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
-- Judged by: `study`, a study of `qnerf decide` that was registered before its first run, with `--tune` after a search of
-  each head's options. `table`: runs of a sweep, without a registered study or a search.
+- Judged by: `study`, a study of `qnerf decide` that was registered before its first run, with `--tune` after a search
+  of each head's options. `table`: runs of a sweep, without a registered study or a search.
 - *Earlier rate*: these runs with `train=quick` had the learning rate that it had at first
   ([recipe.md](recipe.md#how-the-learning-rate-falls)). They are not judged anew yet: {earlier}.
   `train.schedule=exponential train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them; from before

@@ -14,13 +14,13 @@ from qnerf.analysis.decide.looks import looks, shares
 from qnerf.analysis.decide.records import records
 from qnerf.analysis.decide.study import Question, Record
 from qnerf.analysis.decide.tune import spaces
-from qnerf.analysis.selection import TUNING
 from qnerf.analysis.verdict import fisher, verdict
 from scipy import stats
 
 from qnerf.building.model import parameter_counts
 from qnerf.building.scene import prepare
 from qnerf.heads import HEADS
+from qnerf.search.objectives import TUNING
 from tests.helpers.configs import MOMENT, composed, worked_out
 
 

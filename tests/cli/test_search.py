@@ -10,6 +10,7 @@ pytest.importorskip("optuna", reason='needs pip install "qnerf[search]"')
 from qnerf.cli.search import values_of
 from qnerf.experiment import Display, run
 from qnerf.records import read_summary, runs, state
+from qnerf.search.objectives import TUNING
 from qnerf.search.space import Choices, Interval
 
 SEARCH = ("-m", "hydra/sweeper=qnerf_optuna", "run.progress=false", "train.eval_views=1", "scene.validation=0.4")
@@ -68,6 +69,23 @@ def test_a_search_without_validation_views_is_refused_before_it_trains(small, tm
     done = qnerf("run", *SEARCH, *small, "seed=0,1", "scene.validation=null")
     assert done.err.startswith("error: scene.validation: a search looks at validation views, never at test views")
     assert (done.code, done.err.count("\n"), runs(tmp_path / "runs")) == (1, 1, [])
+
+
+def test_a_search_where_training_sees_all_points_has_a_seed_of_its_own(tmp_path, qnerf):
+    asked = (
+        "scene=photograph",
+        "scene.size=8",
+        "head=mlp",
+        "train.steps=3",
+        "device=cpu",
+        f"store={tmp_path / 'runs'}",
+    )
+    search = ("-m", "hydra/sweeper=qnerf_optuna", "run.progress=false", *asked, "head.mlp.width=4,5")
+    done = qnerf("run", *search)
+    assert done.err.startswith("error: seed: this training sees all points")
+    assert (done.code, done.err.count("\n"), runs(tmp_path / "runs")) == (1, 1, [])
+    assert qnerf("run", *search, f"seed={TUNING[0]}").code == 0
+    assert qnerf("tables", str(tmp_path / "runs"), "--rows", "head").out.count("all of a search") == 1
 
 
 def test_a_search_of_more_than_run_hours_is_refused_after_its_first_trial(small, tmp_path, qnerf):

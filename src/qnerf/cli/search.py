@@ -47,6 +47,10 @@ UNVALIDATED = (
     "scene.validation: a search looks at validation views, never at test views, and none are held out; "
     "scene.validation=0.1 holds out a tenth of what trains"
 )
+NO_OTHER_SEED = (
+    "seed: this training sees all points, so a search takes a seed of its own, of which tables leave runs out: "
+    f"seed={goals.TUNING[0]}"
+)
 OPTIONS: Mapping[str, Any] = {
     "objectives": Annotated[list[str], MinLen(1)],
     "n_trials": PositiveInt,
@@ -129,6 +133,8 @@ class OptunaSweeper(Sweeper):
                 scenes.setdefault(scene, prepared.source)
                 if judged and prepared.task.tests_unseen and not own["scene.validation"]:
                     raise NoObjective(UNVALIDATED)
+                if judged and not prepared.task.tests_unseen and own["seed"] not in goals.TUNING:
+                    raise NoObjective(NO_OTHER_SEED)
                 found.append(prepared.find_id(store))
             return found
 

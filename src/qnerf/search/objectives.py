@@ -9,6 +9,10 @@ from qnerf.metrics import HEAD_PARAMETERS, METRICS, metric_of
 Direction = Literal["maximize", "minimize"]
 KNOWN = tuple(key for key, item in METRICS.items() if item.kind != "loss" and (item.better or item.kind == "size"))
 
+TUNING = (271_828_180, 271_828_181, 271_828_182)
+"""Seeds that judge nothing, of which tables leave runs out. `qnerf decide --tune` searches with the first one, and
+trains its best trials again with the others; a search where training sees all points takes any of them."""
+
 
 def check(objectives: Sequence[str]) -> None:
     """ValueError unless the objectives are numbers of which it is known which way is better."""
