@@ -40,6 +40,7 @@ def records(store: str | Path) -> pd.DataFrame:
                 changes.append(f"{shared} of them were judged in an earlier record, too")
             study = {"registered": f"{time}, budget {budget:g} s", "changes": "; ".join(changes)}
             how = [searched(found["tuned"], look) for look in last.to_dict("records")]
+            study["spaces"] = [spaces(found["spaces"], look) for look in last.to_dict("records")]
             for_all = [word for word in asked["common"].split() if word.startswith(("scene=", "scene."))]
             last = last.replace({"scene": {"": name_of(" ".join(for_all))}})
             names = names_of(found["question"]["candidates"])
@@ -109,4 +110,13 @@ def searched(tuned: Mapping[str, Mapping[str, Any]], look: Mapping[Any, Any]) ->
             gain = f"expected best {best[0]:.4g} of 1, {best[-1]:.4g} of {len(best)}"
             unseen = f", {one['validation']}" if isinstance(one["validation"], str) else ""
             texts.append(f"{candidate}: {chosen} ({cost}, {gain}{unseen})")
+    return "; ".join(texts)
+
+
+def spaces(known: Mapping[str, Mapping[str, str]], look: Mapping[Any, Any]) -> str:
+    """The values from which a search could choose for the two candidates of a look."""
+    texts = []
+    for candidate in (look["baseline"], look["candidate"]):
+        own = known.get(f"{look['scene']}: {candidate}", known.get(candidate, {}))
+        texts += [f"{candidate}: {', '.join(f'{option}={values}' for option, values in own.items())}"] if own else []
     return "; ".join(texts)

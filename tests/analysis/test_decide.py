@@ -405,6 +405,7 @@ def test_a_search_is_registered_with_its_spaces_and_counts_in_the_budget(trainin
     monkeypatch.setattr(decide, "tune", tune)
     decide.main(["x=a", "x=b", "--tune", "2", "--budget", "1000s", "--store", str(tmp_path)])
     assert set(records(tmp_path)["most"]) == {10}  # (1000 - 400) / 60
+    assert set(records(tmp_path)["spaces"]) == {"x=a: k=1,2; x=b: k=3,4"}
 
 
 def test_a_search_at_equal_time_has_it_too_and_what_it_chose_is_measured_again(trainings, tmp_path, monkeypatch):
