@@ -1,3 +1,4 @@
+import pennylane as qml
 import pytest
 import torch
 
@@ -18,6 +19,29 @@ def test_heads_map_features_to_values_and_learn():
             gradients = [p.grad for p in head.parameters() if name != "residual" or p.grad is not None]
             assert gradients, name
             assert all(gradient is not None and gradient.dtype == dtype for gradient in gradients), name
+
+
+def test_qiren_is_what_its_published_code_computes():
+    """After the code of arXiv:2406.03873: linear maps, batch normalisation and PennyLane's templates, a linear map."""
+    head = HEADS.build("qiren", 3, 2, layers=1, spectral=2, qubits=4).double().eval()
+
+    @qml.qnode(qml.device("default.qubit", wires=4))
+    def circuit(inputs, weights1, weights2):
+        for weights in weights1:
+            qml.StronglyEntanglingLayers(weights, wires=range(4), imprimitive=qml.CZ)
+            qml.AngleEmbedding(inputs, wires=range(4), rotation="Z")
+        qml.StronglyEntanglingLayers(weights2, wires=range(4), imprimitive=qml.CZ)
+        return [qml.expval(qml.Z(wire)) for wire in range(4)]
+
+    values = x = torch.randn(5, 3, dtype=torch.float64)
+    for layer in head.hybrid:
+        torch.nn.init.normal_(layer.norm.running_mean)
+        torch.nn.init.uniform_(layer.norm.running_var, 0.5, 2.0)
+        linear = values @ layer.linear.weight.T + layer.linear.bias
+        spread = torch.sqrt(layer.norm.running_var + layer.norm.eps)
+        normal = (linear - layer.norm.running_mean) / spread * layer.norm.weight + layer.norm.bias
+        values = torch.stack(circuit(normal, layer.circuit.weights1, layer.circuit.weights2), 1)
+    torch.testing.assert_close(head(x), values @ head.readout.weight.T + head.readout.bias)
 
 
 def test_sum_layers_adds_the_measured_values_of_all_circuits():
