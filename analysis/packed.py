@@ -60,7 +60,8 @@ def pack(runs: pd.DataFrame, folder: Path) -> tuple[int, list[str]]:
             (folder / f"{probe}.parquet").unlink(missing_ok=True)
     for name, frame in tables.items():
         replace(folder / f"{name}.parquet", frame.to_parquet(index=False), durable=False)
-    for record in Path(chosen["path"].iloc[0]).parent.glob(f"{RECORDS}/*.json"):
+    stores = {Path(path).parent for path in chosen["path"]}  # with --add also the folder itself
+    for record in (path for store in stores for path in store.glob(f"{RECORDS}/*.json")):
         make_folder(folder / RECORDS, store=False)
         text = re.sub(r"scene\.path=\S*/", "scene.path=", record.read_text())
         replace(folder / RECORDS / record.name, text.encode(), durable=False)

@@ -124,12 +124,13 @@ def page(folder: Path, question: Question) -> tuple[str, Said]:
 def studied(looks: pd.DataFrame) -> str:
     """What `qnerf decide` has said of these runs, and what it searched."""
     parts = ["The table's verdicts are of one look. By `qnerf decide`, whose intervals hold over all looks and pairs:"]
-    for (scene, baseline, _), here in looks.groupby(["scene", "baseline", "metric"], sort=False):
-        parts.append(f"{scene + ', ' if scene else ''}against {baseline}:")
-        parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here.to_dict("records")))
-        searches = dict.fromkeys(found for said in here["searched"] for found in said.split("; ") if found)
+    for (scene, *_), study in looks.groupby(["scene", "registered", "metric"], sort=False):
+        for baseline, here in study.groupby("baseline", sort=False):
+            parts.append(f"{scene + ', ' if scene else ''}against {baseline}:")
+            parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here.to_dict("records")))
+        searches = dict.fromkeys(found for said in study["searched"] for found in said.split("; ") if found)
         parts += ["Chosen by the search:", "\n".join(f"- {found}" for found in searches)] if searches else []
-        parts += [f"Of this record: {told}." for told in dict.fromkeys(here["changes"]) if told]
+        parts += [f"Of this record: {told}." for told in dict.fromkeys(study["changes"]) if told]
     return "\n\n".join(parts)
 
 

@@ -56,6 +56,19 @@ def test_runs_are_added_to_packed_ones(store, tmp_path):
     assert evaluations(frame[frame["state"] == "finished"]).size == 10
 
 
+def test_the_records_of_studies_are_packed_and_added(store, tmp_path):
+    records, packed = store / ".decisions", tmp_path / "packed"
+    records.mkdir()
+    for name, scene, chosen in (
+        ("first", "fox", ["--filter", "seed=0"]),
+        ("second", "fern", ["--filter", "seed=1", "--add"]),
+    ):
+        (records / f"{name}.json").write_text(f'"scene.path=/data/{scene}"')
+        main([str(store), str(packed), *chosen])
+    found = {path.stem: path.read_text() for path in (packed / ".decisions").iterdir()}
+    assert found == {"first": '"scene.path=fox"', "second": '"scene.path=fern"'}
+
+
 def test_packed_tables_do_not_hide_the_runs_of_a_store(store, tmp_path):
     main([str(store), str(tmp_path / "packed")])
     for name in ("runs.parquet", "views.parquet"):
