@@ -153,7 +153,8 @@ def _short(candidate: Hashable) -> str:
 
 
 def _said(look: Mapping[Hashable, Any]) -> str:
-    return f"{look['shown']} {metric_of(look['metric']).unit}, {look['verdict']}, {look['seeds']} seeds"
+    difference = f"{look['shown']} {metric_of(look['metric']).unit}".rstrip()
+    return f"{difference}, {look['verdict']}, {look['seeds']} seeds"
 
 
 def scene_key(rows: Sequence[str]) -> str:
