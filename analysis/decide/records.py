@@ -29,6 +29,7 @@ def records(store: str | Path) -> pd.DataFrame:
             looks = pd.DataFrame([*found["looks"], *unseen(found)])
             last = looks[looks["ended"] | (looks["seeds"] == looks.groupby("scene")["seeds"].transform("max"))]
             asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
+            asked["about"] = found["question"]["candidates"][0]
             steps = ", ".join(f"{name} {count}" for name, count in found["steps"].items())
             changes = [f"budget {change['budget']:g} s at {change['time']}" for change in found["changes"]]
             if earlier := sum(found["earlier"].values()):
@@ -46,7 +47,7 @@ def records(store: str | Path) -> pd.DataFrame:
             names = names_of(found["question"]["candidates"])
             if any(name != text for text, name in names.items()):
                 asked["candidates"] = "; ".join(names)
-                last = last.replace({"baseline": names, "candidate": names})
+                last, asked["about"] = last.replace({"baseline": names, "candidate": names}), names[asked["about"]]
             tables.append(last.assign(**asked, most=found["most"], steps=steps, **study, searched=how))
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 

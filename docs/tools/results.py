@@ -135,15 +135,24 @@ def studied(looks: pd.DataFrame) -> str:
 
 
 def decided(looks: pd.DataFrame) -> str:
-    """What the index says of a question that studies have answered: their verdicts, of many candidates the counts."""
+    """What the index says of a question that studies have answered: their verdicts on each other candidate against the
+    first one, of many the counts."""
     said = []
-    for (scene, baseline, _), here in looks.groupby(["scene", "baseline", "metric"], sort=False):
-        kinds = here["verdict"].str.extract(r"^(\w+)")[0]
-        if len(here) > MOST_NAMED:
-            told = ", ".join(f"{count} {kind}" for kind in KINDS if (count := (kinds == kind).sum()))
-        else:
-            told = ", ".join(f"{_short(name)} {kind}" for name, kind in zip(here["candidate"], kinds, strict=True))
-        said.append(f"{scene + ', ' if scene else ''}against {_short(baseline)}: {told}")
+    for (scene, about, *_), study in looks.groupby(["scene", "about", "registered", "metric"], sort=False):
+        kinds: dict[str, list[str]] = {}
+        for look in study.to_dict("records"):
+            if about in (look["candidate"], look["baseline"]):
+                kind = str(re.match(r"\w+", look["verdict"])[0])  # type: ignore[index]
+                other = look["candidate"]
+                if other == about:
+                    kind, other = {"better": "worse", "worse": "better"}.get(kind, kind), look["baseline"]
+                kinds.setdefault(kind, []).append(_short(other))
+        told = [
+            f"{kind}: {', '.join(kinds[kind]) if len(kinds[kind]) <= MOST_NAMED else len(kinds[kind])}"
+            for kind in KINDS
+            if kind in kinds
+        ]
+        said.append(f"{scene + ', ' if scene else ''}against {_short(about)}: {', '.join(told)}")
     return "; ".join(said)
 
 
