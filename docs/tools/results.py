@@ -124,9 +124,10 @@ def page(folder: Path, question: Question) -> tuple[str, Said]:
 def studied(looks: pd.DataFrame) -> str:
     """What `qnerf decide` has said of these runs, and what it searched."""
     parts = ["The table's verdicts are of one look. By `qnerf decide`, whose intervals hold over all looks and pairs:"]
-    for (scene, *_), study in looks.groupby(["scene", "registered", "metric"], sort=False):
+    for (scene, _, metric), study in looks.groupby(["scene", "registered", "metric"], sort=False):
+        measured = "" if metric == "psnr" else metric_of(metric).label
         for baseline, here in study.groupby("baseline", sort=False):
-            parts.append(f"{scene + ', ' if scene else ''}against {baseline}:")
+            parts.append(f"{', '.join(filter(None, (scene, measured, f'against {baseline}')))}:")
             parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here.to_dict("records")))
         searches = dict.fromkeys(found for said in study["searched"] for found in said.split("; ") if found)
         parts += ["Chosen by the search:", "\n".join(f"- {found}" for found in searches)] if searches else []
