@@ -70,7 +70,9 @@ def decisions(store: str | Path) -> ShownTable | None:
     if found.empty:
         return None
     found = found.dropna(axis=1, how="all").loc[:, found.astype(str).ne("").any()]
-    found = found.drop(columns=["difference", "reach", "about"], errors="ignore").rename(columns={"shown": "difference"})
+    found = found.drop(columns=["difference", "reach", "about"], errors="ignore").rename(
+        columns={"shown": "difference"}
+    )
     found = found[sorted(found, key=lambda name: DECIDED.index(name) if name in DECIDED else len(DECIDED))]
     text = found.map(
         lambda value: (
