@@ -33,8 +33,9 @@ One line a question: what its runs say, and the page with the table and the comm
   seeds. Bold is the best of a column. [analysis.md](analysis.md#verdicts) explains the verdicts: one without a scene
   holds on each scene of the page. A row without its number of seeds has all that its page names.
 - The commands train on `poster`; add [the options](your-scene.md#the-scenes-of-these-pages) of another scene.
-- Judged by: `study`, a study of `qnerf decide` that was registered before its first run, with `--tune` after a search
-  of each head's options. `table`: runs of a sweep, without a registered study or a search.
+- Judged by: `study`, a registered study of `qnerf decide`, with `--tune` after a search of each head's options; its
+  page says which of its runs are older than its record. `table`: runs of a sweep, without a registered study or a
+  search.
 - *Earlier rate*: these runs with `train=quick` had the learning rate that it had at first
   ([recipe.md](recipe.md#how-the-learning-rate-falls)). They are not judged anew yet: {earlier}.
   `train.schedule=exponential train.cooldown=1 train.lr_final=1e-4 train.betas=[0.9,0.999]` repeats them; from before
@@ -72,6 +73,7 @@ def pages(folder: Path) -> dict[Path, str]:
             if len(said.earlier):
                 earlier, judged = pd.concat([earlier, said.earlier]), f"{judged}, earlier rate"
             lines.append(f"| [{question.title}]({folder.name}/{name}/README.md) | {judged} | {said.text} |")
+    earlier = earlier[~earlier.index.duplicated()]  # pages share runs
     left = f"{len(earlier):,} runs, {earlier.sum() / 3600:.0f} hours of training"
     file = folder / "hardware.txt"
     hardware = " ".join(printable(file.read_text(), lines=True).split()) if file.is_file() else ""
@@ -94,8 +96,8 @@ def questions(folder: Path) -> dict[str, Question]:
 
 
 class Said(NamedTuple):
-    """What the index says of a question: its verdicts, whether studies gave them, the training seconds of its runs with
-    the learning rate that `train=quick` had at first."""
+    """What the index says of a question: its verdicts, whether studies gave them; run -> training seconds, of its runs
+    with the learning rate that `train=quick` had at first."""
 
     text: str
     study: bool
@@ -117,8 +119,8 @@ def page(folder: Path, question: Question) -> tuple[str, Said]:
     parts += [f"[{file.name}]({file.name})" for file in sorted(folder.glob("*.md")) if file.name != "README.md"]
     parts += [f"![{title(file.stem)}]({file.name})" for file in sorted(folder.glob("*.png"))]
     text = decided(looks) if len(looks) else verdicts(tables[0], question)
-    earlier = frame.loc[frame["train"].eq("quick") & ("train.schedule" not in frame), "train_s"]
-    return "\n\n".join(parts) + "\n", Said(text, len(looks) > 0, earlier)
+    earlier = frame.set_index("run_id").loc[lambda runs: runs["train"].eq("quick") & ("train.schedule" not in runs)]
+    return "\n\n".join(parts) + "\n", Said(text, len(looks) > 0, earlier["train_s"])
 
 
 def studied(looks: pd.DataFrame) -> str:
