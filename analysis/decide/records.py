@@ -109,7 +109,7 @@ def searched(tuned: Mapping[str, Mapping[str, Any]], look: Mapping[Any, Any]) ->
             chosen, best = ", ".join(one["chosen"]) or "its own options", one["expected"]
             cost = f"{one['trials']} trials, {one['seconds'] / 60:.1f} minutes"
             gain = f"expected best {best[0]:.4g} of 1, {best[-1]:.4g} of {len(best)}"
-            unseen = f", {one['validation']}" if isinstance(one["validation"], str) else ""
+            unseen = f", {one['validation'].partition(':')[0]}" if isinstance(one["validation"], str) else ""
             texts.append(f"{candidate}: {chosen} ({cost}, {gain}{unseen})")
     return "; ".join(texts)
 

@@ -129,10 +129,12 @@ def studied(looks: pd.DataFrame) -> str:
     for (scene, _, metric), study in looks.groupby(["scene", "registered", "metric"], sort=False):
         measured = "" if metric == "psnr" else metric_of(metric).label
         for baseline, here in study.groupby("baseline", sort=False):
-            parts.append(f"{', '.join(filter(None, (scene, measured, f'against {baseline}')))}:")
-            parts.append("\n".join(f"- {look['candidate']}: {_said(look)}" for look in here.to_dict("records")))
+            parts.append(f"{', '.join(filter(None, (scene, measured, f'against {_short(baseline)}')))}:")
+            parts.append("\n".join(f"- {_short(look['candidate'])}: {_said(look)}" for look in here.to_dict("records")))
         searches = dict.fromkeys(found for said in study["searched"] for found in said.split("; ") if found)
-        parts += ["Chosen by the search:", "\n".join(f"- {found}" for found in searches)] if searches else []
+        named = (found.partition(":") for found in searches)
+        chosen = "\n".join(f"- {_short(candidate)}:{found}" for candidate, _, found in named)
+        parts += ["Chosen by the search:", chosen] if searches else []
         parts += [f"Of this record: {told}." for told in dict.fromkeys(study["changes"]) if told]
     return "\n\n".join(parts)
 
@@ -166,7 +168,7 @@ def _short(candidate: Hashable) -> str:
 
 def _said(look: Mapping[Hashable, Any]) -> str:
     difference = f"{look['shown']} {metric_of(look['metric']).unit}".rstrip()
-    return f"{difference}, {look['verdict']}, {look['seeds']} seeds"
+    return f"{difference}, {re.sub(', after .* trials each', '', look['verdict'])}, {look['seeds']} seeds"
 
 
 def scene_key(rows: Sequence[str]) -> str:
