@@ -16,16 +16,15 @@ FOLDER = ".decisions"
 
 def records(store: str | Path) -> pd.DataFrame:
     """The records of a store: what ended or was compared last in each scene, and the question that it belongs to."""
-    tables, times = [], dict[str, list[str]]()  # run -> when a record that has it was registered
-    paths = sorted(Path(store).glob(f"{FOLDER}/*.json"))
-    for path in paths:
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            found = read_json(path)
-            for run in itertools.chain(*found["runs"].values()):
-                times.setdefault(run, []).append(found["registered"]["time"])
-    for path in paths:
+    tables, known, times = [], [], dict[str, str]()  # run -> when the first record that has it was registered
+    for path in sorted(Path(store).glob(f"{FOLDER}/*.json")):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a damaged record is left out
             found = read_json(path)
+            time = found["registered"]["time"]
+            times |= {run: min(time, times.get(run, time)) for run in itertools.chain(*found["runs"].values())}
+            known.append(found)
+    for found in known:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
             looks = pd.DataFrame([*found["looks"], *unseen(found)])
             last = looks[looks["ended"] | (looks["seeds"] == looks.groupby("scene")["seeds"].transform("max"))]
             asked = {key: found["question"][key] for key in ("within", "metric", "equal", "common")}
@@ -37,8 +36,8 @@ def records(store: str | Path) -> pd.DataFrame:
                 changes.append(f"{earlier} of {count} judged runs are older than the record")
             time, budget = found["registered"]["time"], found["registered"]["budget"]
             ids = itertools.chain(*found["runs"].values())
-            if shared := sum(any(other < time for other in times[run]) for run in ids):
-                changes.append(f"{shared} of them were judged in an earlier record, too")
+            if shared := sum(times[run] < time for run in ids):
+                changes.append(f"{shared} judged runs stand in an earlier record, too")
             study = {"registered": f"{time}, budget {budget:g} s", "changes": "; ".join(changes)}
             how = [searched(found["tuned"], look) for look in last.to_dict("records")]
             study["spaces"] = [spaces(found["spaces"], look) for look in last.to_dict("records")]

@@ -303,7 +303,7 @@ def test_the_record_is_written_before_the_first_run_and_keeps_later_budgets(trai
     assert "budget 7200 s at" in records(tmp_path)["changes"].iloc[0]
     trainings.created = 0.0
     decide.main(["x=a", "x=c", "--store", str(tmp_path)])
-    told = "12 of 12 judged runs are older than the record; 6 of them were judged in an earlier record, too"
+    told = "12 of 12 judged runs are older than the record; 6 judged runs stand in an earlier record, too"
     path.write_text(path.read_text().replace(first["time"], "2000-01-01T00:00:00+00:00"))
     assert told in set(records(tmp_path)["changes"])
     assert (first["looks"], first["tuning_seeds"]) == ([6, 9, 14, 20], [])
